@@ -1,0 +1,58 @@
+// What the engine searches: a view of particles that somebody else owns. Arrays here; VDB grids through
+// openvdb_bridge.h; files through point_file.h.
+#pragma once
+
+#include "vdb_nns/types.h"
+
+#include <cstddef>
+#include <memory>
+
+namespace vdb_nns {
+
+class ParticleSource; // src/particles/particle_source.h
+
+/// A cheap handle to positions that are viewed, not copied: they must stay alive and unchanged while the view, or any
+/// grid or lists made from it, is used. Copies share the view. Safe to read from several threads.
+///
+/// Particles are numbered 0 to size()-1: an array in its own order, a VDB point grid in the order of
+/// `tree().cbeginLeaf()` and inside a leaf in attribute order.
+class ParticleView {
+public:
+    /// An empty view.
+    ParticleView();
+    explicit ParticleView(std::shared_ptr<const ParticleSource> source);
+
+    /// Positions as x, y, z triples in world units.
+    /// @param strideBytes distance from one particle's x to the next one's; at least three values.
+    /// @throws InvalidInput for more than 2^32-1 particles, a null pointer with count > 0, or too small a stride.
+    static ParticleView fromArray(const float* xyz, std::size_t count,
+                                  std::size_t strideBytes = 3 * sizeof(float));
+    static ParticleView fromArray(const double* xyz, std::size_t count,
+                                  std::size_t strideBytes = 3 * sizeof(double));
+
+    /// Positions as three arrays of `count` values each, in world units.
+    /// @throws InvalidInput as fromArray().
+    static ParticleView fromArrays(const float* x, const float* y, const float* z, std::size_t count);
+    static ParticleView fromArrays(const double* x, const double* y, const double* z, std::size_t count);
+
+    std::size_t size() const;
+
+    /// The linear part of the map from stored positions to world space: identity for arrays, M of the grid's transform
+    /// for a VDB grid (column vectors).
+    const Matrix3& linear() const;
+
+    /// World position of particle i, rounded to double: for reports, never for deciding who is a neighbor.
+    Vec3d worldPosition(std::size_t i) const;
+
+    /// The world distance of two particles by one fixed sequence of IEEE double operations: the difference of the
+    /// stored coordinates, then M, then sqrt(x*x + y*y + z*z), nothing contracted, so that it is the same on every
+    /// machine.
+    double distance(std::size_t i, std::size_t j) const;
+
+    const ParticleSource& source() const { return *mSource; }
+
+private:
+    std::shared_ptr<const ParticleSource> mSource;
+};
+
+} // namespace vdb_nns

@@ -1,0 +1,92 @@
+// Point files: .vdb, .npy, .ply and .xyz in, neighbor lists (.npz) and result attributes (.vdb) out.
+#pragma once
+
+#include "vdb_nns/neighbor_lists.h"
+#include "vdb_nns/particle_view.h"
+#include "vdb_nns/progress.h"
+#include "vdb_nns/types.h"
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace vdb_nns {
+
+struct AttributeInfo {
+    std::string name;  ///< e.g. "P"
+    std::string type;  ///< OpenVDB's value type name, e.g. "vec3s"
+    std::string codec; ///< "null", "trnc", "fxpt16", "fxpt8", ...
+};
+
+/// What a point file says about itself. Values that the format has not are empty.
+struct PointFileInfo {
+    std::string path;
+    std::string format; ///< "vdb", "npy", "ply" or "xyz"
+    std::string grid;   ///< grid name; empty for arrays
+    std::uint64_t points = 0;
+    std::uint64_t nonfinite = 0;              ///< points with a NaN or infinite coordinate
+    std::optional<Vec3d> voxelSize;           ///< world units; grids only
+    std::string codec;                        ///< codec of P; for arrays "float32" or "float64"
+    Matrix4 transform{};                      ///< index to world, column vectors; identity for arrays
+    std::optional<std::array<Vec3d, 2>> bbox; ///< world units, of the finite points; empty without any
+    std::vector<AttributeInfo> attributes;
+    std::optional<double> suggestedRadius; ///< world units, metadata `suggested_radius`
+};
+
+/// A point file in memory. Copies share it.
+class PointFile {
+public:
+    /// Reads a point file; the format is told by the extension (.vdb .npy .ply .xyz, any case).
+    /// @param grid name of the point grid of a .vdb; empty: the only one.
+    /// @throws InvalidInput for an unknown extension, an unknown grid name, several point grids and no name (the
+    ///         message lists them), or a grid name given with an array file
+    /// @throws InputError when the file is missing, unreadable, truncated, damaged or not supported (frustum
+    ///         transform, singular matrix, a P that is not vec3s with codec null, trnc, fxpt16 or fxpt8)
+    /// @throws Cancelled
+    static PointFile read(const std::string& path, const std::string& grid = {},
+                          Progress* progress = nullptr);
+
+    /// The positions. Keeps the file's memory alive.
+    const ParticleView& view() const;
+
+    /// Describes the file. Cost: one pass over the positions for bbox and nonfinite, made at the first call.
+    const PointFileInfo& info() const;
+
+    /// Writes the same .vdb file with result attributes added: other grids and the file's metadata are copied, name,
+    /// transform, metadata, codecs and attributes stay untouched, P is not encoded again.
+    /// The file appears whole or not at all (temporary name beside the target, then rename).
+    /// @param counts one value a point, written as int32 attribute `prefix + "count"`.
+    /// @param overwrite whether an existing file, or an attribute of that name, may be replaced.
+    /// @throws InvalidInput if this is not a .vdb file, counts has the wrong size, or the attribute exists
+    /// @throws OutputExists, OutputError, Cancelled
+    void writeVdb(const std::string& path, Span<const std::uint32_t> counts, const std::string& prefix,
+                  bool overwrite, Progress* progress = nullptr) const;
+
+    struct Data;
+
+private:
+    std::shared_ptr<Data> mData;
+};
+
+/// What the `data` array of a written list holds.
+enum class ListValues {
+    kConnectivity, ///< int8 ones
+    kDistance      ///< float32 world distances
+};
+
+/// Writes lists as a SciPy CSR matrix: a stored ZIP whose members indptr (int64), indices (int32, or int64 past
+/// 2^31-1 particles; ascending in each row), data, shape (int64[2]) and format (|S3) start on 64-byte boundaries.
+/// Streams: memory does not grow with the lists. The same lists give the same bytes. The file appears whole or not at
+/// all.
+/// @throws OutputExists, OutputError, Cancelled
+void writeNpz(const std::string& path, const NeighborLists& lists, ListValues values, bool overwrite,
+              Progress* progress = nullptr);
+
+/// Fails early, before a long search, if `path` could not be written: it exists and overwriting was not asked for, it
+/// is not a regular file, or its folder does not exist.
+/// @throws OutputExists, OutputError
+void checkOutput(const std::string& path, bool overwrite);
+
+} // namespace vdb_nns

@@ -1,0 +1,19 @@
+// How long steps tell where they are and are stopped.
+#pragma once
+
+namespace vdb_nns {
+
+/// Called from worker threads, possibly several at once: an implementation must be thread-safe and cheap.
+class Progress {
+public:
+    virtual ~Progress() = default;
+
+    /// @param step a short name of the step that runs, e.g. "grid", "search", "write"; a string literal.
+    /// @param fraction of that step that is done, 0 to 1; never decreases within one step for one thread.
+    virtual void update(const char* step, double fraction) = 0;
+
+    /// When true is returned, the running step stops soon and throws `Cancelled`.
+    virtual bool cancelled() const { return false; }
+};
+
+} // namespace vdb_nns

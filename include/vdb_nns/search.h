@@ -1,0 +1,85 @@
+// The search: all steps in one call, each step by itself, and an engine that keeps its buffers.
+#pragma once
+
+#include "vdb_nns/neighbor_lists.h"
+#include "vdb_nns/particle_view.h"
+#include "vdb_nns/search_options.h"
+#include "vdb_nns/sparse_grid.h"
+
+#include <functional>
+#include <memory>
+#include <vector>
+
+namespace vdb_nns {
+
+/// Called once for every finite particle: its number, its neighbors and their world distances (ParticleView::distance),
+/// in cell-visiting order. Called from several threads at once; the spans are valid during the call.
+using NeighborVisitor = std::function<void(std::uint32_t query, Span<const std::uint32_t> neighbors,
+                                           Span<const double> distances)>;
+
+/// What the last run did: for reports.
+struct SearchStatistics {
+    double gridSeconds = 0, searchSeconds = 0;
+    std::uint64_t candidateTests =
+        0;                         ///< pairs of a query and a particle of the cells in reach, self included
+    std::uint64_t doublePairs = 0; ///< ordered pairs that the float32 filter left to the double test
+    std::uint64_t exactPairs = 0;  ///< of those, pairs that the double test left to exact arithmetic
+    SimdLevel simd = SimdLevel::kScalar; ///< instruction set that ran
+};
+
+/// Finds neighbors, frame after frame. Keeps its memory between runs, and reuses it once the results of an earlier run
+/// are gone. One thread at a time may call it; inside it uses the TBB arena that the caller is in.
+///
+/// Membership (all functions here): i and j are neighbors iff i != j and their distance is <= radius in real
+/// arithmetic; no rounding decides. Self is excluded by number: particles at the same place are neighbors.
+class SearchEngine {
+public:
+    SearchEngine();
+    ~SearchEngine();
+    SearchEngine(SearchEngine&&) noexcept;
+    SearchEngine& operator=(SearchEngine&&) noexcept;
+
+    /// Sorts the particles into a sparse grid.
+    /// @param radius world units, > 0 and finite.
+    /// Cost: about 2 passes over the particles and 16 bytes a particle.
+    /// @throws InvalidInput for a bad radius or option
+    /// @throws InputError when a cell coordinate would pass +-(2^31 - 4096), with the extent, the cell edge and the
+    ///         smallest radius that works; or for a non-finite particle under NonFinite::kFail
+    /// @throws CapacityError, Cancelled
+    SparseGrid buildGrid(const ParticleView& view, double radius, const SearchOptions& options = {});
+
+    /// Makes the lists of all particles of a grid, in options.encoding.
+    /// @throws CapacityError before the memory is gone, when the lists cannot fit
+    /// @throws InvalidInput, Cancelled
+    NeighborLists search(const SparseGrid& grid, const SearchOptions& options = {});
+
+    /// Hands every query its neighbors without storing lists.
+    /// @throws InvalidInput, Cancelled, and what `visitor` throws
+    void visit(const SparseGrid& grid, const NeighborVisitor& visitor, const SearchOptions& options = {});
+
+    /// buildGrid() and search().
+    NeighborLists findNeighbors(const ParticleView& view, double radius, const SearchOptions& options = {});
+
+    const SearchStatistics& statistics() const;
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> mImpl;
+};
+
+/// The whole job in one call; see SearchEngine.
+NeighborLists findNeighbors(const ParticleView& view, double radius, const SearchOptions& options = {});
+
+/// Number of neighbors of every particle, by number; no lists are stored.
+std::vector<std::uint32_t> countNeighbors(const ParticleView& view, double radius,
+                                          const SearchOptions& options = {});
+
+/// Hands every query its neighbors without storing lists; see SearchEngine::visit.
+void visitNeighbors(const ParticleView& view, double radius, const NeighborVisitor& visitor,
+                    const SearchOptions& options = {});
+
+/// The widest instruction set of this processor that the search has code for.
+SimdLevel bestSimdLevel();
+const char* simdLevelName(SimdLevel level);
+
+} // namespace vdb_nns

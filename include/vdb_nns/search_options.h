@@ -1,0 +1,46 @@
+// What a caller may choose about a search. Plain data.
+#pragma once
+
+#include "vdb_nns/progress.h"
+
+#include <cstdint>
+
+namespace vdb_nns {
+
+/// How neighbor lists are held in memory.
+enum class Encoding {
+    kIndex, ///< 4 bytes for each neighbor: its number. Fast to read.
+    kMask, ///< one bit for each candidate of the cells in reach: 0.5 to 1 byte a neighbor, decoded when read.
+    kNone  ///< counts only.
+};
+
+/// What to do with particles whose position is NaN or infinite.
+enum class NonFinite {
+    kSkip, ///< they have no neighbors and are nobody's neighbor; they are counted
+    kFail  ///< throw InputError
+};
+
+/// Instruction sets of the search. All give the same answer.
+enum class SimdLevel { kScalar, kSse4, kAvx2, kAvx512, kBest };
+
+struct SearchOptions {
+    /// How results are held.
+    Encoding encoding = Encoding::kIndex;
+
+    /// Cells that a radius spans, 1 to 3: the cell edge is radius / reach, a hair wider. 1 suits most scenes; 2 makes
+    /// masks smaller.
+    int reach = 1;
+
+    NonFinite nonfinite = NonFinite::kSkip;
+
+    /// kBest takes the widest that the processor has; a level that it does not have is InvalidInput.
+    SimdLevel simd = SimdLevel::kBest;
+
+    /// Bytes that grid and lists may use together; 0: what the machine (or its cgroup) has free, less a reserve.
+    std::uint64_t hostMemoryBytes = 0;
+
+    /// Told how far a step is, and asked whether to stop; may be null.
+    Progress* progress = nullptr;
+};
+
+} // namespace vdb_nns

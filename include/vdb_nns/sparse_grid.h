@@ -1,0 +1,59 @@
+// The sparse grid: particles sorted by leaf and cell over the topology of an OpenVDB tree.
+#pragma once
+
+#include "vdb_nns/particle_view.h"
+#include "vdb_nns/search_options.h"
+#include "vdb_nns/types.h"
+
+#include <cstdint>
+#include <memory>
+
+namespace vdb_nns {
+
+struct SparseGridData; // src/grid/sparse_grid_data.h
+
+/// Immutable; a cheap handle whose copies share the data. Safe to read from several threads.
+///
+/// Space is cut into cubic cells of edge cellSize() (radius / reach, a hair wider), numbered by integer cell
+/// coordinates; 8^3 cells are a leaf, and the tree above the leaves is OpenVDB's (nodes of 128^3 and 4096^3 cells).
+/// Only occupied leaves exist. Leaves stand in Morton order within a 4096^3 node, so every octant of a node is a
+/// contiguous range of leaves. Inside a leaf the cells stand in OpenVDB's linear order, (x * 8 + y) * 8 + z, and inside
+/// a cell the particles stand by number. A slot is a particle's place in that order.
+class SparseGrid {
+public:
+    SparseGrid() = default;
+    explicit SparseGrid(std::shared_ptr<const SparseGridData> data);
+
+    struct Leaf {
+        Vec3i origin;               ///< cell coordinates of the lowest cell
+        std::uint64_t occupancy[8]; ///< bit z of byte y of word x: the cell holds a particle
+        std::uint64_t firstSlot;    ///< slot of its first particle
+        std::uint64_t particleCount;
+        std::uint64_t firstCell; ///< number of its first occupied cell, counted over all leaves before
+    };
+
+    bool empty() const { return particleCount() == 0; }
+    double radius() const;                ///< world units
+    int reach() const;                    ///< cells that the radius spans, 1 to 3
+    double cellSize() const;              ///< world units
+    std::uint64_t particleCount() const;  ///< particles in the grid: all finite ones
+    std::uint64_t nonfiniteCount() const; ///< particles left out because a coordinate is NaN or infinite
+    std::uint64_t leafCount() const;
+    std::uint64_t cellCount() const; ///< occupied cells
+    std::uint64_t bytes() const;     ///< memory held, tree included
+
+    Leaf leaf(std::uint64_t index) const;
+
+    /// Particle numbers by slot.
+    Span<const std::uint32_t> particleNumbers() const;
+
+    const ParticleView& view() const;
+
+    const SparseGridData& data() const { return *mData; }
+    const std::shared_ptr<const SparseGridData>& sharedData() const { return mData; }
+
+private:
+    std::shared_ptr<const SparseGridData> mData;
+};
+
+} // namespace vdb_nns
