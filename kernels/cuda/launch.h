@@ -1,0 +1,28 @@
+// The device layer as plain C++: any compiler reads this header, and nothing in it is CUDA's. It is defined by the .cu
+// files beside it when CUDA is built and by launch_stub.cpp when it is not. Which of the two is linked is decided by
+// VDB_NNS_CUDA at configure time and by nothing else: callers do not ask, they call.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace vdb_nns::cuda {
+
+/// A CUDA device that this process sees.
+struct Device {
+    int ordinal; ///< what `cuda:N` calls it
+    std::string name;
+    std::uint64_t totalBytes; ///< memory of the device; the driver keeps some of it
+    int computeMajor, computeMinor;
+};
+
+/// "absent", or the toolkit and the architectures that this was built for, e.g. "13.0 for sm_75".
+const char* buildDescription();
+
+/// All visible devices, in the order of the runtime; at least one.
+/// @throws DeviceError when this was built without CUDA, when there is no driver or no device, or when a call fails;
+///         the message has the call, the code and the place.
+std::vector<Device> listDevices();
+
+} // namespace vdb_nns::cuda

@@ -1,0 +1,78 @@
+// Who is a neighbor: the float32 filter, its bound and its proof. Any compiler; the one place, with its SIMD twin
+// src/execute/membership_simd-inl.h, where the search compares a distance with a radius.
+//
+// Unit: the cell edge. rho is the radius in cells, u = 2^-24 the rounding unit of float. R = reach, 1 to 3.
+//
+// 1. Coordinates. A particle's true position about its leaf's centre is stored as a float x, |x| <= 4:
+//      error <= E + 2^-23                          E: computing it in double (CellMap); half a float spacing below 4
+//    Moved into the frame of the query's leaf, v = fl(x + 8 k), |v| < 8:     error + 2^-22
+//    Moved to a centre m inside the query's cell, p = fl(v - m), |p| <= R + 1 <= 4:   error + 2^-23
+//    so per axis |p - true| <= eta = E + 2^-21, and for a query q and a candidate c of one frame, with
+//      D = |p_c - p_q|^2 of the floats as they are,  d the true distance:    |sqrt(D) - d| <= 2 sqrt(3) eta =: delta
+//
+// 2. Arithmetic. The score of a candidate is s = fl(w_c + K + a.p_c) with w_c = fl(|p_c|^2), a = -2 p_q (exact),
+//    K = fl(|p_q|^2 - far), far = rho^2 + beta. In real arithmetic it would be D - far. With |p_c|^2 <= W = 3 (R+1)^2,
+//    |p_q| <= 1/2 an axis, |a.p_c| <= X = 3 (R+1) and |K| <= Q = rho^2 + 1:
+//      w_c: three roundings below W                                              3 u W
+//      K:   one (far and the sum are made in double)                               u Q
+//      the sum w + K and three sums, each below W + Q + X; the products, where the machine does not fuse them, below X:
+//                                                                                4 u (W + Q + X) + u X
+//    Their total times 1.001 is at least |s - (D - far)| (second order terms are below 1e-6 of it). Flushed denormals
+//    add less than 1e-36.
+//
+// 3. Decision. If d <= rho then D <= (rho + delta)^2, so D - rho^2 <= 2 rho delta + delta^2; if d > rho then
+//    D - rho^2 > -(2 rho delta). With beta >= 2 rho delta + delta^2 + total:
+//      s >= 0          =>  d > rho        surely not a neighbor
+//      s < -2 beta     =>  d < rho        surely a neighbor
+//      otherwise       in the band: a double test and, if need be, exact arithmetic decide (execute/exact_test.h)
+//    The band is the sign bit and one integer comparison: negative floats of small magnitude are the smallest integers.
+//
+// 4. Box filter. Candidates whose distance from the box of a cell's queries has fl(square) > keep = rho^2 + 2 beta are
+//    dropped: that square exceeds the real one by less than 6 u keep < total, so D > rho^2 + beta, hence d > rho.
+#pragma once
+
+#include "shared/annotation.h"
+
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+
+namespace vdb_nns {
+
+struct FilterBounds {
+    double far;           // rho^2 + beta
+    float keep;           // rho^2 + 2 beta, rounded up
+    std::int32_t bandTop; // bits of -2 beta, rounded away from zero: s is in the band iff negative and bits <= bandTop
+};
+
+static inline std::int32_t floatBits(float value)
+{
+    std::int32_t bits;
+    std::memcpy(&bits, &value, sizeof bits);
+    return bits;
+}
+
+/// @param radiusCells rho, with a relative error of at most 1e-14
+/// @param coordinateError E, in cells
+static inline FilterBounds makeFilterBounds(double radiusCells, int reach, double coordinateError)
+{
+    const double u = 0x1p-24, rho2 = radiusCells * radiusCells;
+    const double delta = 2 * 1.7320508075688774 * (coordinateError + 0x1p-21);
+    const double w = 3.0 * (reach + 1) * (reach + 1), x = 3.0 * (reach + 1), q = rho2 + 1;
+    const double arithmetic = u * (3 * w + q + 4 * (w + q + x) + x) * 1.001;
+    const double beta = (2 * radiusCells * delta + delta * delta + arithmetic + 1e-13 * rho2) * 1.001;
+    FilterBounds bounds;
+    bounds.far = rho2 + beta;
+    bounds.keep = std::nextafter(static_cast<float>(rho2 + 2 * beta), 1e30f);
+    bounds.bandTop = floatBits(std::nextafter(static_cast<float>(-2 * beta), -1e30f));
+    return bounds;
+}
+
+/// K of a query at p.
+VDB_NNS_HOST_DEVICE static inline float queryConstant(const FilterBounds& bounds, float px, float py, float pz)
+{
+    const double x = px, y = py, z = pz;
+    return static_cast<float>(x * x + y * y + z * z - bounds.far);
+}
+
+} // namespace vdb_nns

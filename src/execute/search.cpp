@@ -1,0 +1,418 @@
+// The search on the CPU: cuts the grid into tasks, runs them on the caller's TBB arena, and keeps memory between runs.
+#include "vdb_nns/search.h"
+
+#include "execute/exact_test.h"
+#include "execute/search_task.h"
+#include "execute/thread_state.h"
+#include "grid/sparse_grid_data.h"
+#include "lists/cell_candidates.h"
+#include "lists/neighbor_lists_data.h"
+#include "util/cancel.h"
+#include "vdb_nns/error.h"
+
+#include <tbb/blocked_range.h>
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/parallel_for.h>
+#include <tbb/parallel_reduce.h>
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cmath>
+#include <limits>
+#include <string>
+
+namespace vdb_nns {
+
+namespace {
+
+double now()
+{
+    return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+void checkOptions(const SearchOptions& options)
+{
+    if (options.reach < 1 || options.reach > 3) {
+        throw InvalidInput("a reach of " + std::to_string(options.reach) + " cells is not supported: use 1, 2 or 3");
+    }
+    if (options.simd != SimdLevel::kBest && static_cast<int>(options.simd) > static_cast<int>(bestSimdLevel())) {
+        throw InvalidInput(std::string("this processor has no ") + simdLevelName(options.simd) + ": use " +
+                           simdLevelName(bestSimdLevel()) + " or less");
+    }
+}
+
+const SearchKernels& kernelsOf(SimdLevel level)
+{
+    switch (level) {
+    case SimdLevel::kScalar: return kSearchScalar;
+    case SimdLevel::kSse4: return kSearchSse4;
+    case SimdLevel::kAvx2: return kSearchAvx2;
+    default: return kSearchAvx512;
+    }
+}
+
+struct Piece {
+    std::uint32_t leaf, firstSlot, endSlot;
+};
+
+// A leaf each; leaves with many particles in pieces, small enough to keep all threads busy to the end, large enough that
+// filling the halo again for each piece stays below a few per cent of its tests.
+std::vector<Piece> makePieces(const SparseGridData& grid)
+{
+    const auto threads = static_cast<std::size_t>(tbb::this_task_arena::max_concurrency());
+    const std::size_t most = std::clamp<std::size_t>(grid.particleCount() / (16 * threads), 1024, 16384);
+    std::vector<Piece> pieces;
+    pieces.reserve(grid.leafCount());
+    for (std::uint32_t l = 0; l < grid.leafCount(); ++l) {
+        const std::uint64_t first = grid.leaves[l].firstSlot, count = grid.leaves[l + 1].firstSlot - first;
+        const std::uint64_t parts = (count + most - 1) / most;
+        for (std::uint64_t p = 0; p < parts; ++p) {
+            pieces.push_back({l, static_cast<std::uint32_t>(first + count * p / parts),
+                              static_cast<std::uint32_t>(first + count * (p + 1) / parts)});
+        }
+    }
+    return pieces;
+}
+
+// Runs `run(state, task)` for the pieces, and f(state) after each range of them.
+template <typename Run>
+void forEachTask(const SparseGridData& grid, const std::vector<Piece>& pieces, ThreadStates& states,
+                 const CancelCheck& cancel, Run&& run)
+{
+    std::atomic<std::uint64_t> done{0};
+    const std::size_t grain = std::clamp<std::size_t>(pieces.size() / 4096, 1, 64);
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, pieces.size(), grain), [&](const auto& range) {
+        ThreadState& state = states.local();
+        const std::uint32_t firstLeaf = pieces[range.begin()].leaf, endLeaf = pieces[range.end() - 1].leaf + 1;
+        state.neighborhoods.resize(endLeaf - firstLeaf);
+        grid.topology.neighborhoods({grid.leafOrigins.data() + firstLeaf, endLeaf - firstLeaf},
+                                    state.neighborhoods.data());
+        std::uint64_t queries = 0;
+        for (std::size_t p = range.begin(); p < range.end(); ++p) {
+            cancel.check();
+            const Piece& piece = pieces[p];
+            run(state, SearchTask{piece.leaf, piece.firstSlot, piece.endSlot,
+                                  state.neighborhoods[piece.leaf - firstLeaf].leaf});
+            queries += piece.endSlot - piece.firstSlot;
+        }
+        const std::uint64_t total = done.fetch_add(queries) + queries;
+        cancel.update(static_cast<double>(total) / static_cast<double>(grid.particleCount()));
+    });
+}
+
+std::uint64_t bytesOfRow(Encoding encoding, const TaskStatistics& statistics)
+{
+    return encoding == Encoding::kIndex ? statistics.pairs * 4 : statistics.candidateTests / 8;
+}
+
+std::string gigabytes(std::uint64_t bytes)
+{
+    char text[64];
+    std::snprintf(text, sizeof text, "%llu bytes (%.3g GB)", static_cast<unsigned long long>(bytes),
+                  static_cast<double>(bytes) * 1e-9);
+    return text;
+}
+
+CapacityError listsDoNotFit(Encoding encoding, bool counted, std::uint64_t needed, std::uint64_t allowed)
+{
+    return CapacityError(std::string(encoding == Encoding::kIndex ? "index lists" : "mask lists") + " need " +
+                             (counted ? "" : "at least ") + gigabytes(needed) + ", allowed are " + gigabytes(allowed) +
+                             ": " + (encoding == Encoding::kIndex ? "use encoding mask, " : "use ") +
+                             "counts alone (encoding none), a smaller radius, or more host memory",
+                         needed, allowed);
+}
+
+} // namespace
+
+SimdLevel bestSimdLevel()
+{
+    __builtin_cpu_init();
+    const bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi") &&
+                      __builtin_cpu_supports("bmi2");
+    if (avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
+        __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq")) {
+        return SimdLevel::kAvx512;
+    }
+    if (avx2) return SimdLevel::kAvx2;
+    if (__builtin_cpu_supports("sse4.2") && __builtin_cpu_supports("popcnt")) return SimdLevel::kSse4;
+    return SimdLevel::kScalar;
+}
+
+const char* simdLevelName(SimdLevel level)
+{
+    switch (level) {
+    case SimdLevel::kScalar: return "scalar";
+    case SimdLevel::kSse4: return "sse4";
+    case SimdLevel::kAvx2: return "avx2";
+    case SimdLevel::kAvx512: return "avx512";
+    case SimdLevel::kBest: break;
+    }
+    return simdLevelName(bestSimdLevel());
+}
+
+struct SearchEngine::Impl {
+    GridScratch scratch;
+    std::shared_ptr<SparseGridData> grid;
+    std::shared_ptr<NeighborListsData> lists;
+    ThreadStates states;
+    SearchStatistics statistics;
+
+    // One search: what all its tasks share.
+    struct Run {
+        const SparseGridData& grid;
+        SearchContext context;
+        ExactTest exact;
+        const SearchKernels& kernels;
+        CancelCheck cancel;
+        std::vector<Piece> pieces;
+
+        Run(const SparseGridData& g, const SearchOptions& options)
+            : grid(g), context{blockViewOf(g), makeFilterBounds(g.radiusCells, g.reach, g.coordinateError)},
+              exact(g.view, g.radius),
+              kernels(kernelsOf(options.simd == SimdLevel::kBest ? bestSimdLevel() : options.simd)),
+              cancel(options.progress, "search"), pieces(makePieces(g))
+        {}
+    };
+
+    void beginStatistics(const SearchOptions& options)
+    {
+        for (ThreadState& state : states) state.begin();
+        statistics.simd = options.simd == SimdLevel::kBest ? bestSimdLevel() : options.simd;
+    }
+
+    TaskStatistics sumStatistics()
+    {
+        TaskStatistics sum;
+        statistics.exactPairs = 0;
+        for (const ThreadState& state : states) {
+            sum.pairs += state.statistics.pairs;
+            sum.candidateTests += state.statistics.candidateTests;
+            sum.bandPairs += state.statistics.bandPairs;
+            statistics.exactPairs += state.exactPairs;
+        }
+        statistics.candidateTests = sum.candidateTests;
+        statistics.doublePairs = sum.bandPairs;
+        return sum;
+    }
+
+    void runTask(const Run& run, SearchTaskFunction kernel, ThreadState& state, const SearchTask& task)
+    {
+        state.exact = &run.exact;
+        kernel(run.context, task, state.judge(), state.halo, state.sink, state.statistics);
+    }
+
+    void checkCapacity(const Run& run, Encoding encoding, std::uint64_t allowed);
+    void makeRows(const Run& run, const SearchOptions& options, NeighborListsData& result);
+    void finish(const Run& run, NeighborListsData& result);
+};
+
+// Throws when the lists surely cannot fit. A few queries tell whether there is any doubt; only then all neighbors are
+// counted, at most four times what fits, so that the error never rests on an estimate.
+void SearchEngine::Impl::checkCapacity(const Run& run, Encoding encoding, std::uint64_t allowed)
+{
+    constexpr std::size_t kProbes = 32;
+    const std::size_t particles = run.grid.particleCount();
+    PageArray<std::uint32_t> counts;
+    counts.resizeDiscarding(particles);
+    const auto count = [&](ThreadState& state, const SearchTask& task) {
+        state.sink.slotBase = 0;
+        state.sink.rowCount = counts.data();
+        runTask(run, run.kernels.count, state, task);
+    };
+    std::vector<Piece> probes;
+    std::size_t p = 0;
+    for (std::size_t k = 0; k < std::min(kProbes, particles); ++k) {
+        const auto slot = static_cast<std::uint32_t>(particles * k / std::min(kProbes, particles));
+        while (run.pieces[p].endSlot <= slot) ++p;
+        probes.push_back({run.pieces[p].leaf, slot, slot + 1});
+    }
+    ThreadState& here = states.local();
+    here.begin();
+    here.neighborhoods.resize(1);
+    for (const Piece& probe : probes) {
+        run.cancel.check();
+        run.grid.topology.neighborhoods({&run.grid.leafOrigins[probe.leaf], 1}, here.neighborhoods.data());
+        count(here, {probe.leaf, probe.firstSlot, probe.endSlot, here.neighborhoods[0].leaf});
+    }
+    const double expected = static_cast<double>(bytesOfRow(encoding, here.statistics)) *
+                            static_cast<double>(particles) / static_cast<double>(probes.size());
+    here.begin();
+    if (expected < 0.5 * static_cast<double>(allowed)) return;
+    std::atomic<std::uint64_t> total{0};
+    const std::uint64_t enough = allowed > std::numeric_limits<std::uint64_t>::max() / 4 ? allowed : 4 * allowed;
+    forEachTask(run.grid, run.pieces, states, run.cancel, [&](ThreadState& state, const SearchTask& task) {
+        if (total > enough) return;
+        const std::uint64_t before = bytesOfRow(encoding, state.statistics);
+        count(state, task);
+        total += bytesOfRow(encoding, state.statistics) - before;
+    });
+    for (ThreadState& state : states) state.begin();
+    if (total > allowed) throw listsDoNotFit(encoding, total <= enough, total, allowed);
+}
+
+void SearchEngine::Impl::makeRows(const Run& run, const SearchOptions& options, NeighborListsData& result)
+{
+    const std::size_t particles = run.grid.particleCount();
+    const bool index = options.encoding == Encoding::kIndex;
+    result.rowCount.resizeDiscarding(particles);
+    if (index) result.rowBegin.resizeDiscarding(particles);
+    std::uint64_t allowed = 0;
+    ChunkPool pool(std::move(result.chunks));
+    if (options.encoding != Encoding::kNone) {
+        const std::uint64_t held = run.grid.bytes() + result.rowCount.usedBytes() + result.rowBegin.usedBytes();
+        allowed = options.hostMemoryBytes ? options.hostMemoryBytes - std::min(held, options.hostMemoryBytes)
+                                          : availableMemoryBytes() + pool.freeBytes();
+        checkCapacity(run, options.encoding, allowed);
+        pool.begin(allowed, particles);
+    }
+    const SearchTaskFunction kernel = index                                ? run.kernels.index
+                                      : options.encoding == Encoding::kMask ? run.kernels.mask
+                                                                            : run.kernels.count;
+    try {
+        forEachTask(run.grid, run.pieces, states, run.cancel, [&](ThreadState& state, const SearchTask& task) {
+            state.pool = &pool;
+            state.sink.slotBase = 0;
+            state.sink.rowBegin = result.rowBegin.data();
+            state.sink.rowCount = result.rowCount.data();
+            runTask(run, kernel, state, task);
+            if (kernel == run.kernels.mask) state.maskRuns.push_back({task.firstSlot, state.sink.taskBegin});
+        });
+    } catch (const ChunkPool::Exhausted&) {
+        throw listsDoNotFit(options.encoding, false, pool.takenBytes(), allowed);
+    }
+    result.chunks = pool.release();
+}
+
+// Statistics, the order of mask rows, and the way from a particle's number to its slot.
+void SearchEngine::Impl::finish(const Run& run, NeighborListsData& result)
+{
+    const std::size_t particles = run.grid.particleCount(), all = result.view.size();
+    const TaskStatistics sum = sumStatistics();
+    result.maskRuns.clear();
+    for (const ThreadState& state : states) {
+        result.maskRuns.insert(result.maskRuns.end(), state.maskRuns.begin(), state.maskRuns.end());
+    }
+    std::sort(result.maskRuns.begin(), result.maskRuns.end(),
+              [](const MaskRun& a, const MaskRun& b) { return a.firstSlot < b.firstSlot; });
+    result.slotOf.resizeDiscarding(all);
+    if (particles < all) std::fill(result.slotOf.begin(), result.slotOf.end(), kNoSlot);
+    ListStatistics start;
+    start.min = std::numeric_limits<std::uint32_t>::max();
+    const auto range = tbb::blocked_range<std::size_t>(0, particles, 8192);
+    ListStatistics statistics = tbb::parallel_reduce(
+        range, start,
+        [&](const auto& r, ListStatistics s) {
+            for (std::size_t slot = r.begin(); slot < r.end(); ++slot) {
+                const std::uint32_t count = result.rowCount[slot];
+                s.min = std::min(s.min, count);
+                s.max = std::max(s.max, count);
+                s.isolated += count == 0;
+                result.slotOf[run.grid.number[slot]] = static_cast<std::uint32_t>(slot);
+            }
+            return s;
+        },
+        [](ListStatistics a, const ListStatistics& b) {
+            a.min = std::min(a.min, b.min);
+            a.max = std::max(a.max, b.max);
+            a.isolated += b.isolated;
+            return a;
+        });
+    if (particles < all || all == 0) statistics.min = 0;
+    statistics.isolated += all - particles;
+    statistics.pairs = sum.pairs;
+    statistics.mean = all ? static_cast<double>(sum.pairs) / static_cast<double>(all) : 0;
+    result.statistics = statistics;
+    result.rowBytes = 0;
+    if (result.encoding == Encoding::kIndex) result.rowBytes = sum.pairs * 4;
+    if (result.encoding == Encoding::kMask) {
+        for (const ThreadState& state : states) result.rowBytes += state.maskBytes;
+    }
+}
+
+SearchEngine::SearchEngine() : mImpl(std::make_unique<Impl>()) {}
+SearchEngine::~SearchEngine() = default;
+SearchEngine::SearchEngine(SearchEngine&&) noexcept = default;
+SearchEngine& SearchEngine::operator=(SearchEngine&&) noexcept = default;
+
+const SearchStatistics& SearchEngine::statistics() const { return mImpl->statistics; }
+
+SparseGrid SearchEngine::buildGrid(const ParticleView& view, double radius, const SearchOptions& options)
+{
+    if (!(radius > 0) || std::isinf(radius)) {
+        throw InvalidInput("radius " + std::to_string(radius) + " is not a positive finite number");
+    }
+    checkOptions(options);
+    const double start = now();
+    if (!mImpl->grid || mImpl->grid.use_count() > 1) mImpl->grid = std::make_shared<SparseGridData>();
+    buildSparseGrid(view, radius, options, mImpl->scratch, *mImpl->grid);
+    mImpl->statistics.gridSeconds = now() - start;
+    return SparseGrid(mImpl->grid);
+}
+
+NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& options)
+{
+    checkOptions(options);
+    const double start = now();
+    // Of the engine's own last lists only the memory is used again, and only when nobody else reads them.
+    std::shared_ptr<NeighborListsData> result = std::make_shared<NeighborListsData>();
+    if (mImpl->lists && mImpl->lists.use_count() == 1) {
+        result->slotOf = std::move(mImpl->lists->slotOf);
+        result->rowCount = std::move(mImpl->lists->rowCount);
+        result->rowBegin = std::move(mImpl->lists->rowBegin);
+        result->chunks = std::move(mImpl->lists->chunks);
+    }
+    mImpl->lists.reset();
+    result->view = grid.view();
+    result->grid = grid;
+    result->encoding = options.encoding;
+    const Impl::Run run(grid.data(), options);
+    mImpl->beginStatistics(options);
+    mImpl->makeRows(run, options, *result);
+    mImpl->finish(run, *result);
+    mImpl->lists = std::move(result);
+    mImpl->statistics.searchSeconds = now() - start;
+    return NeighborLists(mImpl->lists);
+}
+
+void SearchEngine::visit(const SparseGrid& grid, const NeighborVisitor& visitor, const SearchOptions& options)
+{
+    checkOptions(options);
+    const double start = now();
+    const Impl::Run run(grid.data(), options);
+    mImpl->beginStatistics(options);
+    forEachTask(run.grid, run.pieces, mImpl->states, run.cancel, [&](ThreadState& state, const SearchTask& task) {
+        state.beginVisit(run.grid, visitor, task);
+        mImpl->runTask(run, run.kernels.index, state, task);
+        state.flushVisit();
+    });
+    mImpl->sumStatistics();
+    mImpl->statistics.searchSeconds = now() - start;
+}
+
+NeighborLists SearchEngine::findNeighbors(const ParticleView& view, double radius, const SearchOptions& options)
+{
+    return search(buildGrid(view, radius, options), options);
+}
+
+NeighborLists findNeighbors(const ParticleView& view, double radius, const SearchOptions& options)
+{
+    return SearchEngine().findNeighbors(view, radius, options);
+}
+
+std::vector<std::uint32_t> countNeighbors(const ParticleView& view, double radius, const SearchOptions& options)
+{
+    SearchOptions counting = options;
+    counting.encoding = Encoding::kNone;
+    return SearchEngine().findNeighbors(view, radius, counting).counts();
+}
+
+void visitNeighbors(const ParticleView& view, double radius, const NeighborVisitor& visitor,
+                    const SearchOptions& options)
+{
+    SearchEngine engine;
+    engine.visit(engine.buildGrid(view, radius, options), visitor, options);
+}
+
+} // namespace vdb_nns

@@ -1,0 +1,76 @@
+// A piece of the search: the queries of one leaf, or some of them, against the leaf and its halo. Plain data between the
+// driver (search.cpp) and the kernels, which are compiled once for each instruction set from search_task-inl.h.
+#pragma once
+
+#include "shared/block_view.h"
+#include "shared/membership.h"
+
+#include <cstddef>
+#include <cstdint>
+
+namespace vdb_nns {
+
+struct SearchContext {
+    BlockView block;
+    FilterBounds bounds;
+};
+
+struct SearchTask {
+    std::uint32_t leaf;
+    std::uint32_t firstSlot, endSlot;  // queries, inside the leaf
+    const std::uint32_t* neighborhood; // 27 leaf indices, see LeafNeighborhood
+};
+
+// Decides the pairs in the filter's band; numbers are the caller's.
+struct BandJudge {
+    void* state;
+    bool (*isNeighbor)(void* state, std::uint32_t query, std::uint32_t candidate);
+};
+
+// Where rows go. One for each thread.
+struct RowSink {
+    std::uint32_t* out; // next free entry
+    std::uint32_t* end;
+    void* owner;
+    void (*grow)(RowSink& sink, std::size_t entries); // makes room for that many entries at a new `out`
+    std::uint32_t slotBase;                           // slot of rowBegin[0] and rowCount[0]
+    std::uint32_t** rowBegin;                         // index rows only
+    std::uint32_t* rowCount;
+    std::uint32_t nextSlot;                           // all rows of the task before it are done; index rows only
+    const std::uint32_t* taskBegin;                   // mask rows only: set by the kernel
+};
+
+// Memory of one thread. The particles of a leaf and its halo, by cell (x, y, z) lexicographic, about the leaf's centre;
+// and the candidates that one cell's queries keep.
+struct HaloScratch {
+    static constexpr int kMaxSide = 8 + 2 * 3;
+    std::uint32_t start[kMaxSide * kMaxSide * kMaxSide + 1]; // first particle of each cell of the cube; the end
+    std::size_t capacity;
+    float *x, *y, *z;
+    std::uint32_t* number;
+    float *keptX, *keptY, *keptZ, *keptW; // about the centre of the queries' box; W is the squared length
+    std::uint32_t* keptNumber;
+    std::uint64_t* keepBits; // by candidate of the cells in reach: kept by the box filter
+    std::uint64_t* hitBits;  // by kept candidate: within the radius of one query
+    void* owner;
+    void (*reserve)(HaloScratch& scratch, std::size_t particles);
+};
+
+struct TaskStatistics {
+    std::uint64_t pairs = 0;
+    std::uint64_t candidateTests = 0;
+    std::uint64_t bandPairs = 0;
+};
+
+using SearchTaskFunction = void (*)(const SearchContext&, const SearchTask&, const BandJudge&, HaloScratch&, RowSink&,
+                                    TaskStatistics&);
+
+struct SearchKernels {
+    SearchTaskFunction index; // rows of numbers
+    SearchTaskFunction mask;  // rows of membership bits
+    SearchTaskFunction count; // counts alone
+};
+
+extern const SearchKernels kSearchScalar, kSearchSse4, kSearchAvx2, kSearchAvx512;
+
+} // namespace vdb_nns

@@ -1,0 +1,202 @@
+// One vector of floats or 32-bit integers for each instruction set that the search is built for. Included by the
+// search_*.cpp files only, each compiled with its own flags: everything has internal linkage.
+//
+// movesign() gives one bit a lane, lane 0 lowest. compress(v, order(m)) moves the lanes of m to the front, in order; what
+// it leaves in the other lanes is finite if v is.
+#pragma once
+
+#include <cstdint>
+#include <cstring>
+
+#if defined(__SSE4_1__)
+#include <immintrin.h>
+#endif
+
+namespace vdb_nns {
+namespace {
+
+#if defined(VDB_NNS_SIMD_AVX512)
+
+struct Simd {
+    using F = __m512;
+    using I = __m512i;
+    using Mask = std::uint32_t;
+    static constexpr int kLanes = 16;
+    static F load(const float* p) { return _mm512_loadu_ps(p); }
+    static I load(const std::uint32_t* p) { return _mm512_loadu_si512(p); }
+    static void store(float* p, F v) { _mm512_storeu_ps(p, v); }
+    static void store(std::uint32_t* p, I v) { _mm512_storeu_si512(p, v); }
+    static F set(float v) { return _mm512_set1_ps(v); }
+    static I set(std::int32_t v) { return _mm512_set1_epi32(v); }
+    static F add(F a, F b) { return _mm512_add_ps(a, b); }
+    static F sub(F a, F b) { return _mm512_sub_ps(a, b); }
+    static F mul(F a, F b) { return _mm512_mul_ps(a, b); }
+    static F mulAdd(F a, F b, F c) { return _mm512_fmadd_ps(a, b, c); }
+    static F min(F a, F b) { return _mm512_min_ps(a, b); }
+    static F max(F a, F b) { return _mm512_max_ps(a, b); }
+    static F abs(F a) { return _mm512_abs_ps(a); }
+    static I bits(F a) { return _mm512_castps_si512(a); }
+    static I min(I a, I b) { return _mm512_min_epi32(a, b); }
+    static Mask movesign(F a) { return _mm512_movepi32_mask(_mm512_castps_si512(a)); }
+    static Mask lessEqual(F a, F b) { return _mm512_cmp_ps_mask(a, b, _CMP_LE_OQ); }
+    static Mask lessEqual(I a, I b) { return _mm512_cmple_epi32_mask(a, b); }
+    using Order = __mmask16;
+    static Order order(Mask m) { return static_cast<__mmask16>(m); }
+    static F compress(F v, Order o) { return _mm512_maskz_compress_ps(o, v); }
+    static I compress(I v, Order o) { return _mm512_maskz_compress_epi32(o, v); }
+};
+
+#elif defined(VDB_NNS_SIMD_AVX2)
+
+// Lane numbers of the set bits of each 8-bit mask, in order.
+struct CompressTable {
+    alignas(32) std::uint32_t lanes[256][8];
+    constexpr CompressTable() : lanes()
+    {
+        for (int m = 0; m < 256; ++m) {
+            int k = 0;
+            for (std::uint32_t b = 0; b < 8; ++b) {
+                if (m >> b & 1) lanes[m][k++] = b;
+            }
+        }
+    }
+};
+alignas(32) constexpr CompressTable kCompress;
+
+struct Simd {
+    using F = __m256;
+    using I = __m256i;
+    using Mask = std::uint32_t;
+    static constexpr int kLanes = 8;
+    static F load(const float* p) { return _mm256_loadu_ps(p); }
+    static I load(const std::uint32_t* p) { return _mm256_loadu_si256(reinterpret_cast<const __m256i*>(p)); }
+    static void store(float* p, F v) { _mm256_storeu_ps(p, v); }
+    static void store(std::uint32_t* p, I v) { _mm256_storeu_si256(reinterpret_cast<__m256i*>(p), v); }
+    static F set(float v) { return _mm256_set1_ps(v); }
+    static I set(std::int32_t v) { return _mm256_set1_epi32(v); }
+    static F add(F a, F b) { return _mm256_add_ps(a, b); }
+    static F sub(F a, F b) { return _mm256_sub_ps(a, b); }
+    static F mul(F a, F b) { return _mm256_mul_ps(a, b); }
+    static F mulAdd(F a, F b, F c) { return _mm256_fmadd_ps(a, b, c); }
+    static F min(F a, F b) { return _mm256_min_ps(a, b); }
+    static F max(F a, F b) { return _mm256_max_ps(a, b); }
+    static F abs(F a) { return _mm256_andnot_ps(_mm256_set1_ps(-0.0f), a); }
+    static I bits(F a) { return _mm256_castps_si256(a); }
+    static I min(I a, I b) { return _mm256_min_epi32(a, b); }
+    static Mask movesign(F a) { return static_cast<Mask>(_mm256_movemask_ps(a)); }
+    static Mask lessEqual(F a, F b) { return movesign(_mm256_cmp_ps(a, b, _CMP_LE_OQ)); }
+    static Mask lessEqual(I a, I b) { return ~movesign(_mm256_castsi256_ps(_mm256_cmpgt_epi32(a, b))) & 255; }
+    using Order = __m256i;
+    static Order order(Mask m) { return _mm256_load_si256(reinterpret_cast<const __m256i*>(kCompress.lanes[m])); }
+    static F compress(F v, Order o) { return _mm256_permutevar8x32_ps(v, o); }
+    static I compress(I v, Order o) { return _mm256_permutevar8x32_epi32(v, o); }
+};
+
+#elif defined(VDB_NNS_SIMD_SSE4)
+
+// Byte shuffles that move the lanes of each 4-bit mask to the front; 0x80 makes zeros of the rest, which must be finite.
+struct CompressTable {
+    alignas(16) std::uint8_t bytes[16][16];
+    constexpr CompressTable() : bytes()
+    {
+        for (int m = 0; m < 16; ++m) {
+            int k = 0;
+            for (std::uint8_t& byte : bytes[m]) byte = 0x80;
+            for (int b = 0; b < 4; ++b) {
+                if (!(m >> b & 1)) continue;
+                for (int c = 0; c < 4; ++c) bytes[m][k * 4 + c] = static_cast<std::uint8_t>(b * 4 + c);
+                ++k;
+            }
+        }
+    }
+};
+alignas(16) constexpr CompressTable kCompress;
+
+struct Simd {
+    using F = __m128;
+    using I = __m128i;
+    using Mask = std::uint32_t;
+    static constexpr int kLanes = 4;
+    static F load(const float* p) { return _mm_loadu_ps(p); }
+    static I load(const std::uint32_t* p) { return _mm_loadu_si128(reinterpret_cast<const __m128i*>(p)); }
+    static void store(float* p, F v) { _mm_storeu_ps(p, v); }
+    static void store(std::uint32_t* p, I v) { _mm_storeu_si128(reinterpret_cast<__m128i*>(p), v); }
+    static F set(float v) { return _mm_set1_ps(v); }
+    static I set(std::int32_t v) { return _mm_set1_epi32(v); }
+    static F add(F a, F b) { return _mm_add_ps(a, b); }
+    static F sub(F a, F b) { return _mm_sub_ps(a, b); }
+    static F mul(F a, F b) { return _mm_mul_ps(a, b); }
+    static F mulAdd(F a, F b, F c) { return _mm_add_ps(_mm_mul_ps(a, b), c); }
+    static F min(F a, F b) { return _mm_min_ps(a, b); }
+    static F max(F a, F b) { return _mm_max_ps(a, b); }
+    static F abs(F a) { return _mm_andnot_ps(_mm_set1_ps(-0.0f), a); }
+    static I bits(F a) { return _mm_castps_si128(a); }
+    static I min(I a, I b) { return _mm_min_epi32(a, b); }
+    static Mask movesign(F a) { return static_cast<Mask>(_mm_movemask_ps(a)); }
+    static Mask lessEqual(F a, F b) { return movesign(_mm_cmple_ps(a, b)); }
+    static Mask lessEqual(I a, I b) { return ~movesign(_mm_castsi128_ps(_mm_cmpgt_epi32(a, b))) & 15; }
+    using Order = __m128i;
+    static Order order(Mask m) { return _mm_load_si128(reinterpret_cast<const __m128i*>(kCompress.bytes[m])); }
+    static F compress(F v, Order o) { return _mm_castsi128_ps(_mm_shuffle_epi8(_mm_castps_si128(v), o)); }
+    static I compress(I v, Order o) { return _mm_shuffle_epi8(v, o); }
+};
+
+#else
+
+struct Simd {
+    using F = float;
+    struct I {
+        std::int32_t v;
+    };
+    using Mask = std::uint32_t;
+    static constexpr int kLanes = 1;
+    static F load(const float* p) { return *p; }
+    static I load(const std::uint32_t* p) { return {static_cast<std::int32_t>(*p)}; }
+    static void store(float* p, F v) { *p = v; }
+    static void store(std::uint32_t* p, I v) { *p = static_cast<std::uint32_t>(v.v); }
+    static F set(float v) { return v; }
+    static I set(std::int32_t v) { return {v}; }
+    static F add(F a, F b) { return a + b; }
+    static F sub(F a, F b) { return a - b; }
+    static F mul(F a, F b) { return a * b; }
+    static F mulAdd(F a, F b, F c) { return a * b + c; }
+    static F min(F a, F b) { return a < b ? a : b; }
+    static F max(F a, F b) { return a > b ? a : b; }
+    static F abs(F a) { return a < 0 ? -a : a; }
+    static I bits(F a)
+    {
+        I i;
+        std::memcpy(&i.v, &a, sizeof i.v);
+        return i;
+    }
+    static I min(I a, I b) { return a.v < b.v ? a : b; }
+    static Mask movesign(F a) { return bits(a).v < 0; }
+    static Mask lessEqual(F a, F b) { return a <= b; }
+    static Mask lessEqual(I a, I b) { return a.v <= b.v; }
+    struct Order {};
+    static Order order(Mask) { return {}; }
+    static F compress(F v, Order) { return v; }
+    static I compress(I v, Order) { return v; }
+};
+
+#endif
+
+constexpr Simd::Mask kAllLanes = (1u << Simd::kLanes) - 1;
+
+// The bits of the lowest `n` lanes, all of them for n >= kLanes.
+inline Simd::Mask firstLanes(std::uint64_t n)
+{
+    return n >= Simd::kLanes ? kAllLanes : (1u << n) - 1;
+}
+
+inline float minOfLanes(Simd::F v)
+{
+    float lane[Simd::kLanes];
+    Simd::store(lane, v);
+    float m = lane[0];
+    for (int i = 1; i < Simd::kLanes; ++i) m = lane[i] < m ? lane[i] : m;
+    return m;
+}
+
+} // namespace
+} // namespace vdb_nns

@@ -1,0 +1,148 @@
+// See thread_state.h.
+#include "execute/thread_state.h"
+
+#include <algorithm>
+
+#include <tbb/task_arena.h>
+
+namespace vdb_nns {
+
+void ChunkPool::begin(std::uint64_t allowedBytes, std::size_t particles)
+{
+    // One chunk a thread may be nearly empty: no more than 1/8 of what is allowed goes that way. Large chunks keep rows
+    // on huge pages; small scenes take less, so that they do not touch a huge page for a few rows.
+    const auto threads = static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());
+    const std::uint64_t wanted = std::clamp<std::uint64_t>(particles * 128 / threads, 65536, std::uint64_t(32) << 20);
+    mChunkBytes = std::max<std::uint64_t>(4096, std::min(wanted, allowedBytes / (8 * threads)));
+    mAllowedBytes = allowedBytes;
+}
+
+void* ChunkPool::take(std::size_t bytes, std::size_t& takenBytes)
+{
+    const std::lock_guard<std::mutex> lock(mMutex);
+    const auto enough = std::find_if(mFree.begin(), mFree.end(), [&](const PageBlock& b) { return b.bytes() >= bytes; });
+    PageBlock block;
+    if (enough != mFree.end()) {
+        block = std::move(*enough);
+        *enough = std::move(mFree.back());
+        mFree.pop_back();
+    } else {
+        bytes = std::max(bytes, mChunkBytes);
+    }
+    const std::size_t size = block.data() ? block.bytes() : bytes;
+    if (mTakenBytes + size > mAllowedBytes) {
+        mTakenBytes += size;
+        throw Exhausted();
+    }
+    if (!block.data()) block = PageBlock(bytes);
+    takenBytes = block.bytes();
+    mTakenBytes += takenBytes;
+    mTaken.push_back(std::move(block));
+    return mTaken.back().data();
+}
+
+std::uint64_t ChunkPool::freeBytes() const
+{
+    std::uint64_t bytes = 0;
+    for (const PageBlock& block : mFree) bytes += block.bytes();
+    return bytes;
+}
+
+ThreadState::ThreadState() : halo{}, sink{}
+{
+    halo.owner = this;
+    halo.reserve = reserveHalo;
+    sink.owner = this;
+    begin();
+}
+
+void ThreadState::begin()
+{
+    statistics = {};
+    exactPairs = maskBytes = 0;
+    maskRuns.clear();
+    sink.out = sink.end = nullptr;
+    sink.grow = growRows;
+}
+
+bool ThreadState::judgePair(void* state, std::uint32_t query, std::uint32_t candidate)
+{
+    auto& self = *static_cast<ThreadState*>(state);
+    return self.exact->isNeighbor(query, candidate, self.exactPairs);
+}
+
+BandJudge ThreadState::judge() { return {this, judgePair}; }
+
+void ThreadState::reserveHalo(HaloScratch& scratch, std::size_t particles)
+{
+    if (particles <= scratch.capacity && scratch.x) return;
+    auto& self = *static_cast<ThreadState*>(scratch.owner);
+    const std::size_t capacity = particles + particles / 2 + 1024;
+    // Vector code reads and writes up to two vectors past the end. Lines of slack between the arrays also keep them from
+    // falling on the same cache sets.
+    const std::size_t stride = (capacity + 64 + 15) / 16 * 16 + 16, bitWords = capacity / 64 + 8;
+    self.mHaloMemory = PageBlock();
+    self.mHaloMemory = PageBlock(9 * stride * sizeof(float) + 2 * bitWords * sizeof(std::uint64_t));
+    auto* const bits = static_cast<std::uint64_t*>(self.mHaloMemory.data());
+    scratch.keepBits = bits;
+    scratch.hitBits = bits + bitWords;
+    auto* const floats = reinterpret_cast<float*>(bits + 2 * bitWords);
+    float** const arrays[7] = {&scratch.x,     &scratch.y,     &scratch.z,    &scratch.keptX,
+                               &scratch.keptY, &scratch.keptZ, &scratch.keptW};
+    for (int k = 0; k < 7; ++k) *arrays[k] = floats + k * stride;
+    scratch.number = reinterpret_cast<std::uint32_t*>(floats + 7 * stride);
+    scratch.keptNumber = reinterpret_cast<std::uint32_t*>(floats + 8 * stride);
+    scratch.capacity = capacity;
+}
+
+void ThreadState::growRows(RowSink& sink, std::size_t entries)
+{
+    auto& self = *static_cast<ThreadState*>(sink.owner);
+    self.maskBytes += entries * sizeof(std::uint32_t); // mask tasks ask once, for what they need
+    if (static_cast<std::size_t>(sink.end - sink.out) >= entries) return;
+    std::size_t bytes = 0;
+    sink.out = static_cast<std::uint32_t*>(self.pool->take(entries * sizeof(std::uint32_t), bytes));
+    sink.end = sink.out + bytes / sizeof(std::uint32_t);
+}
+
+void ThreadState::beginVisit(const SparseGridData& grid, const NeighborVisitor& visitor, const SearchTask& task)
+{
+    mVisitGrid = &grid;
+    mVisitor = &visitor;
+    const std::size_t queries = task.endSlot - task.firstSlot;
+    mVisitBegin.resize(queries);
+    mVisitCount.resize(queries);
+    sink.slotBase = sink.nextSlot = mVisited = task.firstSlot;
+    sink.rowBegin = mVisitBegin.data();
+    sink.rowCount = mVisitCount.data();
+    sink.grow = growVisit;
+}
+
+void ThreadState::growVisit(RowSink& sink, std::size_t entries)
+{
+    constexpr std::size_t kVisitEntries = 65536; // 256 KB: stays in the second-level cache
+    auto& self = *static_cast<ThreadState*>(sink.owner);
+    self.flushVisit();
+    if (self.mVisitRows.bytes() < entries * sizeof(std::uint32_t)) {
+        self.mVisitRows = PageBlock();
+        self.mVisitRows = PageBlock(std::max(entries, kVisitEntries) * sizeof(std::uint32_t));
+    }
+    sink.out = static_cast<std::uint32_t*>(self.mVisitRows.data());
+    sink.end = sink.out + self.mVisitRows.bytes() / sizeof(std::uint32_t);
+}
+
+void ThreadState::flushVisit()
+{
+    const ParticleView& view = mVisitGrid->view;
+    for (; mVisited < sink.nextSlot; ++mVisited) {
+        const std::uint32_t row = mVisited - sink.slotBase, query = mVisitGrid->number[mVisited];
+        const std::uint32_t count = mVisitCount[row];
+        const std::uint32_t* const neighbors = mVisitBegin[row];
+        mDistances.resize(std::max<std::size_t>(mDistances.size(), count));
+        for (std::uint32_t k = 0; k < count; ++k) mDistances[k] = view.distance(query, neighbors[k]);
+        (*mVisitor)(query, {neighbors, count}, {mDistances.data(), count});
+    }
+    sink.out = static_cast<std::uint32_t*>(mVisitRows.data());
+}
+
+} // namespace vdb_nns

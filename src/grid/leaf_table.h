@@ -1,0 +1,120 @@
+// The occupied leaves of one chunk of particles, found by a small hash table that grows with the leaves, not with the
+// particles: on dense scenes it stays in the first-level cache. And the order of leaves over all chunks.
+#pragma once
+
+#include "vdb_nns/types.h"
+
+#include <algorithm>
+#include <cstdint>
+#include <vector>
+
+namespace vdb_nns {
+
+class LeafTable {
+public:
+    // Counts one particle in the leaf at (x, y, z), in units of leaves, and returns the leaf's number in this table.
+    std::uint32_t countIn(std::int32_t x, std::int32_t y, std::int32_t z)
+    {
+        if (x != mLast[0] || y != mLast[1] || z != mLast[2] || mLeaves.empty()) find(x, y, z);
+        ++mCounts[mLastNumber];
+        return mLastNumber;
+    }
+
+    std::uint32_t size() const { return static_cast<std::uint32_t>(mLeaves.size()); }
+    const Vec3i& leaf(std::uint32_t i) const { return mLeaves[i]; }
+    std::uint32_t count(std::uint32_t i) const { return mCounts[i]; }
+
+private:
+    static constexpr std::uint32_t kFree = 0xffffffffu;
+
+    struct Entry {
+        std::int32_t x, y, z;
+        std::uint32_t number = kFree;
+    };
+
+    static std::uint64_t hash(std::int32_t x, std::int32_t y, std::int32_t z)
+    {
+        // Odd multipliers from the golden ratio and its powers; the high bits of the sum are well mixed.
+        return static_cast<std::uint64_t>(x) * 0x9E3779B97F4A7C15u + static_cast<std::uint64_t>(y) * 0xC2B2AE3D27D4EB4Fu +
+               static_cast<std::uint64_t>(z) * 0x165667B19E3779F9u;
+    }
+
+    void find(std::int32_t x, std::int32_t y, std::int32_t z)
+    {
+        if (2 * (mLeaves.size() + 1) > mTable.size()) grow();
+        Entry& entry = place(x, y, z);
+        if (entry.number == kFree) {
+            entry = {x, y, z, size()};
+            mLeaves.push_back({x, y, z});
+            mCounts.push_back(0);
+        }
+        mLast = {x, y, z};
+        mLastNumber = entry.number;
+    }
+
+    Entry& place(std::int32_t x, std::int32_t y, std::int32_t z)
+    {
+        const std::size_t mask = mTable.size() - 1;
+        for (std::size_t h = hash(x, y, z) >> 32 & mask;; h = (h + 1) & mask) {
+            Entry& e = mTable[h];
+            if (e.number == kFree || (e.x == x && e.y == y && e.z == z)) return e;
+        }
+    }
+
+    void grow()
+    {
+        mTable.assign(std::max<std::size_t>(256, mTable.size() * 4), Entry{0, 0, 0, kFree});
+        for (std::uint32_t i = 0; i < size(); ++i) {
+            place(mLeaves[i][0], mLeaves[i][1], mLeaves[i][2]) = {mLeaves[i][0], mLeaves[i][1], mLeaves[i][2], i};
+        }
+    }
+
+    std::vector<Entry> mTable; // open addressing, a power of two
+    std::vector<Vec3i> mLeaves;
+    std::vector<std::uint32_t> mCounts;
+    Vec3i mLast{};
+    std::uint32_t mLastNumber = 0;
+};
+
+// Orders leaves by 4096^3 node, then in Morton order inside it (512^3 leaves, 9 bits an axis).
+class RootOrder {
+public:
+    void add(const LeafTable& leaves)
+    {
+        for (std::uint32_t i = 0; i < leaves.size(); ++i) {
+            const Vec3i root = rootOf(leaves.leaf(i));
+            if (mRoots.empty() || mRoots.back() != root) mRoots.push_back(root);
+        }
+    }
+
+    void finish()
+    {
+        std::sort(mRoots.begin(), mRoots.end());
+        mRoots.erase(std::unique(mRoots.begin(), mRoots.end()), mRoots.end());
+    }
+
+    std::uint64_t key(const Vec3i& leaf) const
+    {
+        const Vec3i root = rootOf(leaf);
+        const auto index = mRoots.size() == 1 ? 0 : std::lower_bound(mRoots.begin(), mRoots.end(), root) - mRoots.begin();
+        return static_cast<std::uint64_t>(index) << 27 | spread(leaf[0]) << 2 | spread(leaf[1]) << 1 | spread(leaf[2]);
+    }
+
+private:
+    static Vec3i rootOf(const Vec3i& leaf) { return {leaf[0] >> 9, leaf[1] >> 9, leaf[2] >> 9}; }
+
+    // Every third bit from the low 9 bits.
+    static std::uint64_t spread(std::int32_t v)
+    {
+        std::uint64_t x = static_cast<std::uint32_t>(v) & 511;
+        x = (x | x << 16) & 0x30000FF;
+        x = (x | x << 8) & 0x300F00F;
+        x = (x | x << 4) & 0x30C30C3;
+        x = (x | x << 2) & 0x9249249;
+        return x;
+    }
+
+    std::vector<Vec3i> mRoots;
+};
+
+} // namespace vdb_nns

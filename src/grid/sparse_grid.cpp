@@ -1,0 +1,309 @@
+// Sorts particles into leaves and cells. Deterministic for any number of threads: a slot depends on leaf, cell and
+// particle number alone.
+//
+//   1. locate: every particle's leaf, through a small table of leaves for each chunk of particles
+//   2. merge:  the chunks' leaves into one list in Morton order, and where each chunk writes into each leaf
+//   3. scatter: leaf-local positions to their leaf
+//   4. cells:  a counting sort inside each leaf
+#include "vdb_nns/sparse_grid.h"
+
+#include "grid/cell_map.h"
+#include "grid/leaf_table.h"
+#include "grid/sparse_grid_data.h"
+#include "particles/particle_source.h"
+#include "util/cancel.h"
+#include "vdb_nns/error.h"
+
+#include <tbb/parallel_for.h>
+#include <tbb/parallel_sort.h>
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <limits>
+#include <string>
+
+namespace vdb_nns {
+
+namespace {
+
+constexpr std::size_t kBatch = 512;           // particles read at once: 24 KB of coordinates, inside L1
+constexpr std::size_t kSmallestChunk = 32768; // below, a chunk's table of leaves costs more than the parallelism gains
+
+struct Chunk {
+    std::size_t begin = 0, end = 0;
+    LeafTable leaves;
+    std::vector<std::uint32_t> cursor; // by local leaf: next slot to write
+    std::uint64_t nonfinite = 0;
+    double most[3] = {0, 0, 0};        // largest |stored coordinate - reference|
+    bool outOfRange = false;
+};
+
+std::vector<Chunk> makeChunks(std::size_t count)
+{
+    const std::size_t threads = static_cast<std::size_t>(tbb::this_task_arena::max_concurrency());
+    const std::size_t chunks = std::max<std::size_t>(1, std::min(4 * threads, count / kSmallestChunk));
+    std::vector<Chunk> result(chunks);
+    for (std::size_t c = 0; c < chunks; ++c) {
+        result[c].begin = count * c / chunks;
+        result[c].end = count * (c + 1) / chunks;
+    }
+    return result;
+}
+
+void locateChunk(const ParticleSource& source, const CellMap& map, Chunk& chunk, std::uint32_t* leafOf,
+                 const CancelCheck& cancel)
+{
+    double stored[3][kBatch], t[3][kBatch];
+    for (std::size_t begin = chunk.begin; begin < chunk.end; begin += kBatch) {
+        if (begin % (kBatch * 64) == 0) cancel.check();
+        const std::size_t n = std::min(kBatch, chunk.end - begin);
+        source.read(begin, n, map.reference, stored[0], stored[1], stored[2]);
+        map.toCells(stored[0], stored[1], stored[2], n, t[0], t[1], t[2]);
+        for (std::size_t i = 0; i < n; ++i) {
+            const double tx = t[0][i], ty = t[1][i], tz = t[2][i];
+            if (CellMap::inRange(tx) && CellMap::inRange(ty) && CellMap::inRange(tz)) {
+                leafOf[begin + i] = chunk.leaves.countIn(floorToInt(tx) >> 3, floorToInt(ty) >> 3, floorToInt(tz) >> 3);
+            } else {
+                leafOf[begin + i] = kNoLeaf;
+                const bool finite = std::isfinite(stored[0][i]) && std::isfinite(stored[1][i]) && std::isfinite(stored[2][i]);
+                chunk.outOfRange |= finite;
+                chunk.nonfinite += !finite;
+                for (int k = 0; k < 3; ++k) {
+                    if (!finite) stored[k][i] = 0; // leaves `most` alone
+                }
+            }
+        }
+        for (int k = 0; k < 3; ++k) {
+            double most = chunk.most[k];
+            for (std::size_t i = 0; i < n; ++i) most = std::max(most, std::fabs(stored[k][i]));
+            chunk.most[k] = most;
+        }
+    }
+}
+
+// Leaves of all chunks in Morton order; sets the chunks' cursors and the leaves' first slots.
+void mergeLeaves(std::vector<Chunk>& chunks, SparseGridData& grid)
+{
+    struct Entry {
+        std::uint64_t key;
+        std::uint32_t chunk, local;
+    };
+    const RootOrder roots = [&] {
+        RootOrder order;
+        for (const Chunk& chunk : chunks) order.add(chunk.leaves);
+        order.finish();
+        return order;
+    }();
+    std::vector<Entry> entries;
+    for (std::uint32_t c = 0; c < chunks.size(); ++c) {
+        const LeafTable& leaves = chunks[c].leaves;
+        for (std::uint32_t l = 0; l < leaves.size(); ++l) entries.push_back({roots.key(leaves.leaf(l)), c, l});
+        chunks[c].cursor.resize(leaves.size());
+    }
+    tbb::parallel_sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) {
+        return a.key != b.key ? a.key < b.key : a.chunk < b.chunk;
+    });
+    grid.leafOrigins.clear();
+    grid.leaves.clear();
+    std::uint32_t slot = 0;
+    for (std::size_t e = 0; e < entries.size(); ++e) {
+        Chunk& chunk = chunks[entries[e].chunk];
+        if (e == 0 || entries[e].key != entries[e - 1].key) {
+            const Vec3i& leaf = chunk.leaves.leaf(entries[e].local);
+            grid.leafOrigins.push_back({leaf[0] * 8, leaf[1] * 8, leaf[2] * 8});
+            grid.leaves.push_back({slot, 0, nullptr});
+        }
+        chunk.cursor[entries[e].local] = slot;
+        slot += chunk.leaves.count(entries[e].local);
+    }
+    grid.leaves.push_back({slot, 0, nullptr});
+}
+
+void scatterChunk(const ParticleSource& source, const CellMap& map, Chunk& chunk, const std::uint32_t* leafOf,
+                  GridScratch::Record* records, const CancelCheck& cancel)
+{
+    double stored[3][kBatch], t[3][kBatch];
+    for (std::size_t begin = chunk.begin; begin < chunk.end; begin += kBatch) {
+        if (begin % (kBatch * 64) == 0) cancel.check();
+        const std::size_t n = std::min(kBatch, chunk.end - begin);
+        source.read(begin, n, map.reference, stored[0], stored[1], stored[2]);
+        map.toCells(stored[0], stored[1], stored[2], n, t[0], t[1], t[2]);
+        for (std::size_t i = 0; i < n; ++i) {
+            const std::uint32_t leaf = leafOf[begin + i];
+            if (leaf == kNoLeaf) continue;
+            GridScratch::Record& record = records[chunk.cursor[leaf]++];
+            record = {leafLocal(t[0][i]), leafLocal(t[1][i]), leafLocal(t[2][i]), static_cast<std::uint32_t>(begin + i)};
+        }
+    }
+}
+
+// Sorts the particles of one leaf by cell, stably. Writes the start of each occupied cell to starts[0..] and the
+// occupancy mask; returns the number of occupied cells.
+std::uint32_t sortLeaf(const GridScratch::Record* records, std::uint32_t begin, std::uint32_t end, SparseGridData& grid,
+                       std::uint64_t* occupancy, std::uint32_t* starts, std::vector<std::uint16_t>& cellOf)
+{
+    const std::uint32_t n = end - begin;
+    if (cellOf.size() < n) cellOf.resize(n);
+    std::uint64_t mask[8] = {};
+    std::uint32_t next[512];
+    for (std::uint32_t i = 0; i < n; ++i) {
+        const GridScratch::Record& r = records[begin + i];
+        const unsigned cell = cellInLeaf(r.x) << 6 | cellInLeaf(r.y) << 3 | cellInLeaf(r.z);
+        cellOf[i] = static_cast<std::uint16_t>(cell);
+        const std::uint64_t bit = std::uint64_t(1) << (cell & 63);
+        if (!(mask[cell >> 6] & bit)) {
+            mask[cell >> 6] |= bit;
+            next[cell] = 0;
+        }
+        ++next[cell];
+    }
+    std::uint32_t cells = 0, slot = begin;
+    for (int w = 0; w < 8; ++w) {
+        occupancy[w] = mask[w];
+        for (std::uint64_t m = mask[w]; m; m &= m - 1) {
+            std::uint32_t& cell = next[w * 64 + __builtin_ctzll(m)];
+            const std::uint32_t count = cell;
+            cell = starts[cells++] = slot;
+            slot += count;
+        }
+    }
+    for (std::uint32_t i = 0; i < n; ++i) {
+        const GridScratch::Record& r = records[begin + i];
+        const std::uint32_t to = next[cellOf[i]]++;
+        grid.x[to] = r.x;
+        grid.y[to] = r.y;
+        grid.z[to] = r.z;
+        grid.number[to] = r.number;
+    }
+    return cells;
+}
+
+void sortCells(GridScratch& scratch, SparseGridData& grid, const CancelCheck& cancel)
+{
+    const std::size_t leaves = grid.leafCount();
+    grid.topology.build({grid.leafOrigins.data(), leaves});
+    std::uint32_t* const starts = scratch.leafOf.data(); // no longer needed as such
+    const tbb::blocked_range<std::size_t> range(0, leaves, 16);
+    tbb::parallel_for(range, [&](const tbb::blocked_range<std::size_t>& r) {
+        cancel.check();
+        std::vector<std::uint16_t> cellOf;
+        for (std::size_t l = r.begin(); l < r.end(); ++l) {
+            LeafRecord& leaf = grid.leaves[l];
+            std::uint64_t* const occupancy = grid.topology.occupancy(l);
+            leaf.occupancy = occupancy;
+            leaf.firstCell = sortLeaf(scratch.records.data(), leaf.firstSlot, grid.leaves[l + 1].firstSlot, grid,
+                                      occupancy, starts + leaf.firstSlot, cellOf);
+        }
+    });
+    std::uint32_t cells = 0;
+    for (std::size_t l = 0; l <= leaves; ++l) cells += std::exchange(grid.leaves[l].firstCell, cells);
+    grid.cellStart.resizeDiscarding(std::size_t(cells) + 1);
+    tbb::parallel_for(range, [&](const tbb::blocked_range<std::size_t>& r) {
+        for (std::size_t l = r.begin(); l < r.end(); ++l) {
+            const LeafRecord& leaf = grid.leaves[l];
+            std::copy_n(starts + leaf.firstSlot, grid.leaves[l + 1].firstCell - leaf.firstCell,
+                        grid.cellStart.data() + leaf.firstCell);
+        }
+    });
+    grid.cellStart[cells] = grid.leaves[leaves].firstSlot;
+}
+
+struct Located {
+    std::uint64_t nonfinite = 0;
+    double most[3] = {0, 0, 0};
+    bool outOfRange = false;
+};
+
+Located locate(const ParticleSource& source, const CellMap& map, std::vector<Chunk>& chunks, std::uint32_t* leafOf,
+               const CancelCheck& cancel)
+{
+    tbb::parallel_for(std::size_t(0), chunks.size(),
+                      [&](std::size_t c) { locateChunk(source, map, chunks[c], leafOf, cancel); });
+    Located all;
+    for (const Chunk& chunk : chunks) {
+        all.nonfinite += chunk.nonfinite;
+        all.outOfRange |= chunk.outOfRange;
+        for (int k = 0; k < 3; ++k) all.most[k] = std::max(all.most[k], chunk.most[k]);
+    }
+    all.outOfRange |= !(map.errorCells(all.most) <= CellMap::kMaxErrorCells);
+    return all;
+}
+
+} // namespace
+
+void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options, GridScratch& scratch,
+                     SparseGridData& grid)
+{
+    const ParticleSource& source = view.source();
+    const CancelCheck cancel(options.progress, "grid");
+    CellMap map(source, radius, options.reach);
+    std::vector<Chunk> chunks = makeChunks(source.size());
+    scratch.leafOf.resizeDiscarding(source.size());
+    Located located = locate(source, map, chunks, scratch.leafOf.data(), cancel);
+    if (located.outOfRange && source.isArray()) {
+        // Far from the origin: count cells from the middle of the particles instead, and try once more.
+        map.reference = middleOf(source);
+        chunks = makeChunks(source.size());
+        located = locate(source, map, chunks, scratch.leafOf.data(), cancel);
+    }
+    if (located.outOfRange) throw map.rangeError(located.most);
+    if (located.nonfinite > 0 && options.nonfinite == NonFinite::kFail) {
+        throw InputError(std::to_string(located.nonfinite) + " of " + std::to_string(source.size()) +
+                         " particles have a position that is NaN or infinite: repair them or skip them");
+    }
+    cancel.update(0.3);
+    grid.view = view;
+    grid.radius = radius;
+    grid.reach = options.reach;
+    grid.cellsPerUnit = map.cellsPerUnit;
+    grid.radiusCells = radius * map.cellsPerUnit;
+    grid.coordinateError = map.errorCells(located.most);
+    grid.nonfiniteCount = located.nonfinite;
+    mergeLeaves(chunks, grid);
+    const std::size_t particles = grid.leaves.back().firstSlot;
+    scratch.records.resizeDiscarding(particles);
+    tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t c) {
+        scatterChunk(source, map, chunks[c], scratch.leafOf.data(), scratch.records.data(), cancel);
+    });
+    cancel.update(0.6);
+    for (PageArray<float>* array : {&grid.x, &grid.y, &grid.z}) array->resizeDiscarding(particles);
+    grid.number.resizeDiscarding(particles);
+    sortCells(scratch, grid, cancel);
+    cancel.update(1);
+}
+
+std::uint64_t SparseGridData::bytes() const
+{
+    return x.usedBytes() + y.usedBytes() + z.usedBytes() + number.usedBytes() + cellStart.usedBytes() +
+           leaves.size() * sizeof(LeafRecord) + leafOrigins.size() * sizeof(Vec3i) + topology.bytes();
+}
+
+SparseGrid::SparseGrid(std::shared_ptr<const SparseGridData> data) : mData(std::move(data)) {}
+
+double SparseGrid::radius() const { return mData->radius; }
+int SparseGrid::reach() const { return mData->reach; }
+double SparseGrid::cellSize() const { return 1 / mData->cellsPerUnit; }
+std::uint64_t SparseGrid::particleCount() const { return mData ? mData->particleCount() : 0; }
+std::uint64_t SparseGrid::nonfiniteCount() const { return mData->nonfiniteCount; }
+std::uint64_t SparseGrid::leafCount() const { return mData->leafCount(); }
+std::uint64_t SparseGrid::cellCount() const { return mData->leaves.back().firstCell; }
+std::uint64_t SparseGrid::bytes() const { return mData->bytes(); }
+const ParticleView& SparseGrid::view() const { return mData->view; }
+
+SparseGrid::Leaf SparseGrid::leaf(std::uint64_t index) const
+{
+    const LeafRecord& record = mData->leaves[index];
+    Leaf leaf{mData->leafOrigins[index], {}, record.firstSlot, mData->leaves[index + 1].firstSlot - record.firstSlot,
+              record.firstCell};
+    std::copy_n(record.occupancy, 8, leaf.occupancy);
+    return leaf;
+}
+
+Span<const std::uint32_t> SparseGrid::particleNumbers() const
+{
+    return {mData->number.data(), mData->number.size()};
+}
+
+} // namespace vdb_nns

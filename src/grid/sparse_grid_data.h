@@ -1,0 +1,52 @@
+// What a SparseGrid holds. Plain arrays by slot, cell and leaf, and the tree. May know nothing of lists or devices.
+#pragma once
+
+#include "grid/topology.h"
+#include "shared/block_view.h"
+#include "util/memory.h"
+#include "vdb_nns/particle_view.h"
+#include "vdb_nns/sparse_grid.h"
+
+#include <cstdint>
+#include <vector>
+
+namespace vdb_nns {
+
+struct SparseGridData {
+    ParticleView view;
+    double radius = 0;        // world
+    int reach = 1;            // cells
+    double cellsPerUnit = 0;  // 1 / cell edge; the edge is defined as its real reciprocal
+    double radiusCells = 0;   // radius * cellsPerUnit
+    double coordinateError = 0; // bound, in cells, on computed minus true cell coordinates, before rounding to float
+    std::uint64_t nonfiniteCount = 0;
+
+    // By slot: position about the leaf's centre in cells, |.| <= 4, and the particle's number.
+    PageArray<float> x, y, z;
+    PageArray<std::uint32_t> number;
+
+    std::vector<Vec3i> leafOrigins;        // cell coordinates
+    std::vector<LeafRecord> leaves;        // one more than leaves: the end
+    PageArray<std::uint32_t> cellStart;    // first slot of each occupied cell; one more: the end
+    Topology topology;
+
+    std::size_t leafCount() const { return leafOrigins.size(); }
+    std::size_t particleCount() const { return number.size(); }
+    std::uint64_t bytes() const;
+};
+
+// Memory of the sort, kept from frame to frame.
+struct GridScratch {
+    struct Record {
+        float x, y, z;
+        std::uint32_t number;
+    };
+    PageArray<Record> records;
+    PageArray<std::uint32_t> leafOf; // by particle; later starts of cells by slot
+};
+
+// Sorts the particles of `view` into `grid`, whose memory is reused. Throws as SearchEngine::buildGrid().
+void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options, GridScratch& scratch,
+                     SparseGridData& grid);
+
+} // namespace vdb_nns

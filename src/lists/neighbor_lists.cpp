@@ -1,0 +1,264 @@
+// Reading neighbor lists. See neighbor_lists_data.h for the layout.
+#include "vdb_nns/neighbor_lists.h"
+
+#include "grid/sparse_grid_data.h"
+#include "lists/cell_candidates.h"
+#include "lists/neighbor_lists_data.h"
+#include "vdb_nns/error.h"
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <atomic>
+
+namespace vdb_nns {
+
+namespace {
+
+void requireLists(const NeighborListsData& lists)
+{
+    if (lists.encoding == Encoding::kNone) {
+        throw InvalidInput("only counts were asked for: search with encoding index or mask to read lists");
+    }
+}
+
+// Calls f(first slot, end slot, candidate runs) for each occupied cell of a leaf; runs is a vector of slot ranges.
+using Runs = std::vector<std::pair<std::uint32_t, std::uint32_t>>;
+
+template <typename F>
+void forEachCell(const SparseGridData& grid, const LeafNeighborhood& neighborhood, std::size_t leafIndex, F&& f)
+{
+    const BlockView block = blockViewOf(grid);
+    const LeafRecord& leaf = grid.leaves[leafIndex];
+    std::uint32_t cell = leaf.firstCell;
+    Runs runs;
+    for (int x = 0; x < 8; ++x) {
+        for (std::uint64_t word = leaf.occupancy[x]; word; word &= word - 1, ++cell) {
+            const int bit = __builtin_ctzll(word);
+            runs.clear();
+            forEachCandidateRun(block, neighborhood, x, bit >> 3, bit & 7,
+                                [&](std::uint32_t begin, std::uint32_t end) { runs.push_back({begin, end}); });
+            f(grid.cellStart[cell], grid.cellStart[cell + 1], runs);
+        }
+    }
+}
+
+std::uint32_t wordsOf(const Runs& runs)
+{
+    std::uint64_t candidates = 0;
+    for (const auto& run : runs) candidates += run.second - run.first;
+    return static_cast<std::uint32_t>((candidates + 31) / 32);
+}
+
+// Appends the numbers of the set bits of one row.
+void decodeRow(const SparseGridData& grid, const Runs& runs, const std::uint32_t* words,
+               std::vector<std::uint32_t>& out)
+{
+    std::uint64_t bit = 0; // of the row, at the start of the run
+    for (const auto& run : runs) {
+        const std::uint64_t end = bit + (run.second - run.first);
+        for (std::uint64_t at = bit; at < end;) {
+            std::uint32_t word = words[at / 32] >> at % 32;
+            const std::uint64_t next = std::min(end, (at / 32 + 1) * 32);
+            if (next - at < 32) word &= (1u << (next - at)) - 1;
+            for (; word; word &= word - 1) {
+                out.push_back(grid.number[run.first + (at - bit) + __builtin_ctz(word)]);
+            }
+            at = next;
+        }
+        bit = end;
+    }
+}
+
+const MaskRun& runOf(const std::vector<MaskRun>& runs, std::uint32_t slot)
+{
+    return *std::prev(std::upper_bound(runs.begin(), runs.end(), slot,
+                                       [](std::uint32_t s, const MaskRun& run) { return s < run.firstSlot; }));
+}
+
+// Hands out each cell's rows, cut where a task of the search ended: f(first slot, end slot, runs, words of a row,
+// first row).
+template <typename F>
+void forEachMaskCell(const NeighborListsData& lists, std::size_t firstLeaf, std::size_t endLeaf, F&& f)
+{
+    const SparseGridData& grid = lists.grid.data();
+    std::vector<LeafNeighborhood> neighborhoods(endLeaf - firstLeaf);
+    grid.topology.neighborhoods({grid.leafOrigins.data() + firstLeaf, endLeaf - firstLeaf}, neighborhoods.data());
+    auto run = &runOf(lists.maskRuns, grid.leaves[firstLeaf].firstSlot);
+    const std::uint32_t* words = run->words;
+    const MaskRun* const last = &lists.maskRuns.back();
+    for (std::size_t l = firstLeaf; l < endLeaf; ++l) {
+        forEachCell(grid, neighborhoods[l - firstLeaf], l,
+                    [&](std::uint32_t begin, std::uint32_t end, const Runs& runs) {
+                        const std::uint32_t rowWords = wordsOf(runs);
+                        while (begin < end) {
+                            while (run != last && run[1].firstSlot <= begin) words = (++run)->words;
+                            const std::uint32_t stop = run == last ? end : std::min(end, run[1].firstSlot);
+                            f(begin, stop, runs, rowWords, words);
+                            words += std::size_t(stop - begin) * rowWords;
+                            begin = stop;
+                        }
+                    });
+    }
+}
+
+void makeDirectory(const NeighborListsData& lists)
+{
+    // Tasks of a search begin with a leaf or inside one, so walking from the first leaf meets every task's start.
+    const std::size_t leaves = lists.grid.leafCount();
+    std::vector<MaskRun>& directory = lists.directory;
+    if (leaves == 0) return;
+    forEachMaskCell(lists, 0, leaves,
+                    [&](std::uint32_t begin, std::uint32_t, const Runs&, std::uint32_t, const std::uint32_t* words) {
+                        directory.push_back({begin, words});
+                    });
+}
+
+// Finds the cell of a slot: its leaf, then its place in it.
+void decodeSlot(const NeighborListsData& lists, std::uint32_t slot, std::vector<std::uint32_t>& out)
+{
+    const SparseGridData& grid = lists.grid.data();
+    const auto next = std::upper_bound(grid.leaves.begin(), grid.leaves.end(), slot,
+                                       [](std::uint32_t s, const LeafRecord& leaf) { return s < leaf.firstSlot; });
+    const std::size_t leafIndex = static_cast<std::size_t>(next - grid.leaves.begin()) - 1;
+    const LeafRecord& leaf = grid.leaves[leafIndex];
+    const std::uint32_t* const cells = grid.cellStart.data() + leaf.firstCell;
+    const std::uint32_t* const cellEnd = grid.cellStart.data() + next->firstCell;
+    auto k = static_cast<std::uint32_t>(std::upper_bound(cells, cellEnd, slot) - cells - 1);
+    LeafNeighborhood neighborhood;
+    grid.topology.neighborhoods({&grid.leafOrigins[leafIndex], 1}, &neighborhood);
+    int x = 0;
+    std::uint64_t word = leaf.occupancy[0];
+    for (; k >= static_cast<std::uint32_t>(__builtin_popcountll(word)); word = leaf.occupancy[++x]) {
+        k -= static_cast<std::uint32_t>(__builtin_popcountll(word));
+    }
+    for (; k > 0; --k) word &= word - 1;
+    const int bit = __builtin_ctzll(word);
+    Runs runs;
+    forEachCandidateRun(blockViewOf(grid), neighborhood, x, bit >> 3, bit & 7,
+                        [&](std::uint32_t begin, std::uint32_t end) { runs.push_back({begin, end}); });
+    const MaskRun& row = runOf(lists.directory, slot);
+    decodeRow(grid, runs, row.words + std::size_t(slot - row.firstSlot) * wordsOf(runs), out);
+}
+
+std::uint64_t mix64(std::uint64_t x)
+{
+    x = (x ^ x >> 30) * 0xBF58476D1CE4E5B9u;
+    x = (x ^ x >> 27) * 0x94D049BB133111EBu;
+    return x ^ x >> 31;
+}
+
+} // namespace
+
+NeighborLists::NeighborLists() : mData(std::make_shared<NeighborListsData>()) {}
+NeighborLists::NeighborLists(std::shared_ptr<const NeighborListsData> data) : mData(std::move(data)) {}
+
+std::size_t NeighborLists::size() const { return mData->slotOf.size(); }
+Encoding NeighborLists::encoding() const { return mData->encoding; }
+std::uint64_t NeighborLists::pairCount() const { return mData->statistics.pairs; }
+const ListStatistics& NeighborLists::statistics() const { return mData->statistics; }
+const ParticleView& NeighborLists::view() const { return mData->view; }
+const SparseGrid& NeighborLists::grid() const { return mData->grid; }
+
+std::uint32_t NeighborLists::count(std::size_t i) const
+{
+    const std::uint32_t slot = mData->slotOf[i];
+    return slot == kNoSlot ? 0 : mData->rowCount[slot];
+}
+
+std::vector<std::uint32_t> NeighborLists::counts() const
+{
+    std::vector<std::uint32_t> counts(size());
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, size(), 4096), [&](const auto& range) {
+        for (std::size_t i = range.begin(); i < range.end(); ++i) counts[i] = count(i);
+    });
+    return counts;
+}
+
+Span<const std::uint32_t> NeighborLists::indices(std::size_t i) const
+{
+    if (mData->encoding != Encoding::kIndex) {
+        throw InvalidInput("the lists are not held as indices: read them with neighbors() or visitRows()");
+    }
+    const std::uint32_t slot = mData->slotOf[i];
+    if (slot == kNoSlot) return {};
+    return {mData->rowBegin[slot], mData->rowCount[slot]};
+}
+
+void NeighborLists::neighbors(std::size_t i, std::vector<std::uint32_t>& out) const
+{
+    requireLists(*mData);
+    out.clear();
+    if (mData->encoding == Encoding::kIndex) {
+        const Span<const std::uint32_t> row = indices(i);
+        out.assign(row.begin(), row.end());
+        return;
+    }
+    const std::uint32_t slot = mData->slotOf[i];
+    if (slot == kNoSlot) return;
+    std::call_once(mData->directoryOnce, [&] { makeDirectory(*mData); });
+    decodeSlot(*mData, slot, out);
+}
+
+void NeighborLists::visitRows(const RowVisitor& visit) const
+{
+    requireLists(*mData);
+    const NeighborListsData& lists = *mData;
+    if (lists.grid.empty()) return;
+    const SparseGridData& grid = lists.grid.data();
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, grid.leafCount(), 4), [&](const auto& range) {
+        if (lists.encoding == Encoding::kIndex) {
+            for (std::uint32_t s = grid.leaves[range.begin()].firstSlot; s < grid.leaves[range.end()].firstSlot; ++s) {
+                visit(grid.number[s], {lists.rowBegin[s], lists.rowCount[s]});
+            }
+            return;
+        }
+        std::vector<std::uint32_t> row;
+        forEachMaskCell(lists, range.begin(), range.end(),
+                        [&](std::uint32_t begin, std::uint32_t end, const Runs& runs, std::uint32_t rowWords,
+                            const std::uint32_t* words) {
+                            for (std::uint32_t s = begin; s < end; ++s, words += rowWords) {
+                                row.clear();
+                                decodeRow(grid, runs, words, row);
+                                visit(grid.number[s], {row.data(), row.size()});
+                            }
+                        });
+    });
+}
+
+Csr NeighborLists::toCsr() const
+{
+    requireLists(*mData);
+    Csr csr;
+    csr.offsets.resize(size() + 1);
+    for (std::size_t i = 0; i < size(); ++i) csr.offsets[i + 1] = csr.offsets[i] + count(i);
+    csr.indices.resize(csr.offsets.back());
+    visitRows([&](std::uint32_t query, Span<const std::uint32_t> neighbors) {
+        std::uint32_t* const row = csr.indices.data() + csr.offsets[query];
+        std::copy(neighbors.begin(), neighbors.end(), row);
+        std::sort(row, row + neighbors.size());
+    });
+    return csr;
+}
+
+std::uint64_t NeighborLists::checksum() const
+{
+    requireLists(*mData);
+    // Sums modulo 2^64 do not depend on the order, so threads may add theirs as they come.
+    std::atomic<std::uint64_t> sum{0};
+    visitRows([&](std::uint32_t query, Span<const std::uint32_t> neighbors) {
+        std::uint64_t row = 0;
+        for (const std::uint32_t j : neighbors) row += mix64(std::uint64_t(query) << 32 | j);
+        sum.fetch_add(row, std::memory_order_relaxed);
+    });
+    return sum;
+}
+
+std::uint64_t NeighborLists::bytes() const
+{
+    return mData->rowBytes + mData->slotOf.usedBytes() + mData->rowCount.usedBytes() + mData->rowBegin.usedBytes() +
+           mData->maskRuns.size() * sizeof(MaskRun) + mData->directory.size() * sizeof(MaskRun);
+}
+
+} // namespace vdb_nns

@@ -1,0 +1,58 @@
+// How lists become an .npz file: the layout of the ZIP, and the rows that fill it. Knows no particles and no grid, so that
+// tests can lay out files of any size and feed rows of their own.
+#pragma once
+
+#include "vdb_nns/point_file.h"
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace vdb_nns {
+
+// One array of the file: a stored ZIP member that holds an .npy, whose values start on a 64-byte boundary.
+struct NpzMember {
+    std::string name;      // "indptr.npy"
+    std::string npyHeader; // a multiple of 64 bytes
+    std::uint64_t valueBytes = 0;
+    std::uint64_t localOffset = 0; // of its local header in the file
+    std::uint64_t valueOffset = 0; // of its first value in the file
+    std::uint32_t crc = 0;         // CRC-32 of header and values, known once they are written
+
+    std::uint64_t bytes() const { return npyHeader.size() + valueBytes; }
+};
+
+// All places are known before the first value is written.
+struct NpzLayout {
+    enum { kIndptr, kIndices, kData, kShape, kFormat, kMembers };
+    NpzMember members[kMembers];
+    std::uint64_t directoryOffset = 0;
+    std::size_t indexBytes = 4; // of one value of `indices`: 4, or 8 past 2^31-1 rows
+};
+
+NpzLayout layoutNpz(std::uint64_t rowCount, std::uint64_t pairCount, ListValues values);
+
+// What stands at localOffset, up to valueOffset: the local file header, its padding and the .npy header.
+std::string localHeader(const NpzMember& member);
+
+// What stands at directoryOffset, to the end of the file.
+std::string centralDirectory(const NpzLayout& layout);
+
+// The lists to write. Called from several threads at once.
+class NpzRows {
+public:
+    virtual ~NpzRows() = default;
+    virtual std::size_t size() const = 0;
+    virtual std::uint64_t pairCount() const = 0;
+    virtual std::uint32_t count(std::size_t row) const = 0;
+    // Writes the count(row) numbers of a row, in any order.
+    virtual void copyRow(std::size_t row, std::uint32_t* out) const = 0;
+    virtual double distance(std::size_t row, std::size_t neighbor) const = 0;
+};
+
+// writeNpz() of point_file.h for rows of any origin.
+void writeNpzRows(const std::string& path, const NpzRows& rows, ListValues values, bool overwrite,
+                  Progress* progress);
+
+} // namespace vdb_nns

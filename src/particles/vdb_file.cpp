@@ -1,0 +1,300 @@
+// Reads the point grid of a .vdb file, and writes the file again with one attribute more.
+#include "particles/vdb_file.h"
+
+#include "output/output_file.h"
+#include "particles/particle_source.h"
+#include "particles/vdb_archive.h"
+#include "util/cancel.h"
+#include "vdb_nns/error.h"
+#include "vdb_nns/openvdb_bridge.h"
+
+#include <openvdb/io/File.h>
+#include <openvdb/io/Stream.h>
+
+#include <algorithm>
+#include <fstream>
+#include <map>
+#include <mutex>
+
+namespace vdb_nns {
+
+namespace {
+
+namespace points = openvdb::points;
+using Leaf = points::PointDataTree::LeafNodeType;
+using openvdb::io::GridDescriptor;
+
+constexpr const char* kRadiusMetadata = "suggested_radius";
+
+// Whatever OpenVDB throws on a damaged file, std::bad_alloc and std::length_error included, is the file's fault.
+template <typename F>
+auto guardRead(const std::string& path, F&& read)
+{
+    try {
+        return read();
+    } catch (const Error&) {
+        throw;
+    } catch (const std::exception& error) {
+        throw InputError(path + ": OpenVDB cannot read it: " + error.what() + "; check the file with vdb_print");
+    }
+}
+
+std::string quoted(const std::string& uniqueName)
+{
+    return "'" + GridDescriptor::nameAsString(uniqueName) + "'";
+}
+
+// Number of the entry that a caller means, by "name", or "name[n]" where a name is there several times.
+std::size_t chooseEntry(const std::string& path, const std::vector<VdbEntry>& entries, const std::string& wanted)
+{
+    std::vector<std::size_t> pointGrids, matching;
+    std::string list;
+    for (std::size_t i = 0; i < entries.size(); ++i) {
+        if (entries[i].gridType != points::PointDataGrid::gridType()) continue;
+        const std::string& name = entries[i].uniqueName;
+        list += (pointGrids.empty() ? "" : ", ") + quoted(name);
+        pointGrids.push_back(i);
+        if (wanted == GridDescriptor::nameAsString(name)) return i;
+        if (wanted == GridDescriptor::stripSuffix(name)) matching.push_back(i);
+    }
+    if (pointGrids.empty()) {
+        throw InputError(path + ": has no point grid among its " + std::to_string(entries.size()) +
+                         " grids; give a file with a PointDataGrid");
+    }
+    if (wanted.empty() && pointGrids.size() == 1) return pointGrids[0];
+    if (!wanted.empty() && matching.size() == 1) return matching[0];
+    if (wanted.empty() || matching.size() > 1) {
+        throw InvalidInput(path + ": has several point grids: " + list + "; name one of them (--grid)");
+    }
+    throw InvalidInput(path + ": has no point grid '" + wanted + "'; its point grids are " + list);
+}
+
+// A file in memory: all grids where it was written as a stream, else only those asked for.
+class Archive {
+public:
+    explicit Archive(const std::string& path) : mPath(path), mDirectory(readVdbDirectory(path)), mFile(path)
+    {
+        if (mDirectory.hasOffsets) {
+            mFile.open(/*delayLoad=*/false);
+            mMetadata = mFile.getMetadata();
+        } else {
+            readStream();
+        }
+    }
+
+    const std::vector<VdbEntry>& entries() const { return mDirectory.entries; }
+    const openvdb::MetaMap& metadata() const { return *mMetadata; }
+
+    openvdb::GridBase::Ptr read(std::size_t entry)
+    {
+        if (!mDirectory.hasOffsets) return (*mStreamGrids)[entry];
+        return mFile.readGrid(GridDescriptor::nameAsString(entries()[entry].uniqueName));
+    }
+
+private:
+    // Such a file tells nowhere where it ends. The stream's exceptions notice where it is cut.
+    void readStream()
+    {
+        std::ifstream file(mPath, std::ios::binary);
+        file.exceptions(std::ios::badbit | std::ios::failbit | std::ios::eofbit);
+        try {
+            openvdb::io::Stream stream(file, /*delayLoad=*/false);
+            mMetadata = stream.getMetadata();
+            mStreamGrids = stream.getGrids();
+        } catch (const std::ios::failure&) {
+            throw InputError(mPath + ": truncated: the file ends before its grids do; copy or write it again");
+        }
+        std::map<std::string, int> seen;
+        for (const openvdb::GridBase::Ptr& grid : *mStreamGrids) {
+            VdbEntry entry;
+            const int number = seen[grid->getName()]++;
+            entry.uniqueName = number ? GridDescriptor::addSuffix(grid->getName(), number) : grid->getName();
+            entry.gridType = grid->type();
+            entry.compression = openvdb::io::getDataCompression(file);
+            mDirectory.entries.push_back(entry);
+        }
+    }
+
+    std::string mPath;
+    VdbDirectory mDirectory;
+    openvdb::io::File mFile;
+    openvdb::MetaMap::Ptr mMetadata;
+    openvdb::GridPtrVecPtr mStreamGrids;
+};
+
+// Lends the leaves of a grid attribute sets of their own, which share the arrays, so that an attribute may be added and
+// taken away again; the lent-out ones return at the end.
+class AttributeLoan {
+public:
+    explicit AttributeLoan(points::PointDataGrid& grid)
+    {
+        grid.tree().getNodes(mLeaves);
+        mSets.reserve(mLeaves.size());
+        for (Leaf* leaf : mLeaves) {
+            auto copy = std::make_unique<points::AttributeSet>(leaf->attributeSet());
+            mSets.push_back(leaf->stealAttributeSet());
+            leaf->replaceAttributeSet(copy.release(), /*allowMismatchingDescriptors=*/true);
+        }
+    }
+
+    ~AttributeLoan()
+    {
+        for (std::size_t i = 0; i < mSets.size(); ++i) {
+            mLeaves[i]->replaceAttributeSet(mSets[i].release(), /*allowMismatchingDescriptors=*/true);
+        }
+    }
+
+    AttributeLoan(const AttributeLoan&) = delete;
+    AttributeLoan& operator=(const AttributeLoan&) = delete;
+
+private:
+    std::vector<Leaf*> mLeaves;
+    std::vector<points::AttributeSet::UniquePtr> mSets;
+};
+
+// io::File's own writer does not notice a full disk; this one writes to a stream that throws.
+class SeekableArchive final : public openvdb::io::Archive {
+public:
+    void writeTo(std::ostream& out, const openvdb::GridCPtrVec& grids, const openvdb::MetaMap& metadata) const
+    {
+        write(out, grids, /*seekable=*/true, metadata);
+    }
+
+private:
+    using openvdb::io::Archive::write;
+};
+
+// The flags that the archive was written with. A grid's own lack those that its class does not use.
+std::uint32_t archiveCompression(const std::vector<VdbEntry>& entries, std::size_t chosen)
+{
+    constexpr std::uint32_t kExclusive = openvdb::io::COMPRESS_ZIP | openvdb::io::COMPRESS_BLOSC;
+    std::uint32_t all = 0;
+    for (const VdbEntry& entry : entries) all |= entry.compression;
+    if ((all & kExclusive) == kExclusive) all = (all & ~kExclusive) | (entries[chosen].compression & kExclusive);
+    return all;
+}
+
+class LoadedVdb final : public VdbFile {
+public:
+    LoadedVdb(const std::string& path, const std::string& wanted, Progress* progress) : mPath(path)
+    {
+        const CancelCheck cancel(progress, "read");
+        cancel.update(0);
+        Archive archive(path);
+        mChosen = chooseEntry(path, archive.entries(), wanted);
+        mGrid = openvdb::gridPtrCast<points::PointDataGrid>(archive.read(mChosen));
+        if (!mGrid) throw InputError(path + ": its point grid is not one; the file is damaged");
+        cancel.update(0.8);
+        try {
+            mView = viewOf(mGrid);
+        } catch (const InputError& error) {
+            throw InputError(path + ": " + error.what());
+        } catch (const InvalidInput& error) { // too many points: here the file's fault
+            throw InputError(path + ": " + error.what());
+        }
+        cancel.update(1);
+    }
+
+    const ParticleView& view() const override { return mView; }
+    void describe(PointFileInfo& info) const override;
+    void write(const std::string& path, Span<const std::uint32_t> counts, const std::string& attribute,
+               bool overwrite, Progress* progress) const override;
+
+private:
+    std::vector<openvdb::GridBase::Ptr> readOtherGrids(Archive& archive, const CancelCheck& cancel) const;
+
+    std::string mPath;
+    std::size_t mChosen = 0; // entry of the file
+    points::PointDataGrid::Ptr mGrid;
+    ParticleView mView;
+    mutable std::mutex mLoanMutex; // one writer at a time changes the grid
+};
+
+void LoadedVdb::describe(PointFileInfo& info) const
+{
+    info.grid = mGrid->getName();
+    const openvdb::Vec3d voxelSize = mGrid->voxelSize();
+    info.voxelSize = Vec3d{voxelSize.x(), voxelSize.y(), voxelSize.z()};
+    if (const auto radius = mGrid->getMetadata<openvdb::DoubleMetadata>(kRadiusMetadata)) {
+        info.suggestedRadius = radius->value();
+    } else if (const auto single = mGrid->getMetadata<openvdb::FloatMetadata>(kRadiusMetadata)) {
+        info.suggestedRadius = single->value();
+    }
+    const auto leaf = mGrid->tree().cbeginLeaf();
+    if (!leaf) return;
+    const points::AttributeSet::Descriptor& descriptor = leaf->attributeSet().descriptor();
+    info.attributes.resize(descriptor.size());
+    for (const auto& [name, position] : descriptor.map()) {
+        info.attributes[position] = {name, descriptor.valueType(position), descriptor.type(position).second};
+        if (name == "P") info.codec = info.attributes[position].codec;
+    }
+}
+
+std::vector<openvdb::GridBase::Ptr> LoadedVdb::readOtherGrids(Archive& archive, const CancelCheck& cancel) const
+{
+    const std::vector<VdbEntry>& entries = archive.entries();
+    if (mChosen >= entries.size() || entries[mChosen].gridType != points::PointDataGrid::gridType()) {
+        throw InputError(mPath + ": has changed since it was read; read it again");
+    }
+    std::vector<openvdb::GridBase::Ptr> grids(entries.size());
+    std::map<std::string, std::size_t> numbers; // of unique names
+    for (std::size_t i = 0; i < entries.size(); ++i) {
+        cancel.check();
+        numbers[entries[i].uniqueName] = i;
+        if (i == mChosen) {
+            grids[i] = mGrid;
+            continue;
+        }
+        grids[i] = archive.read(i);
+        const auto parent = numbers.find(entries[i].instanceParent);
+        const bool isInstance = !entries[i].instanceParent.empty() && parent != numbers.end();
+        if (isInstance && parent->second != mChosen) grids[i]->setTree(grids[parent->second]->baseTreePtr());
+    }
+    return grids;
+}
+
+void LoadedVdb::write(const std::string& path, Span<const std::uint32_t> counts, const std::string& attribute,
+                      bool overwrite, Progress* progress) const
+{
+    const CancelCheck cancel(progress, "write");
+    cancel.update(0);
+    const std::lock_guard<std::mutex> lock(mLoanMutex);
+    const AttributeLoan loan(*mGrid);
+    setPointAttribute(*mGrid, attribute, counts, overwrite);
+
+    OutputFile file(path, overwrite);
+    SeekableArchive out;
+    openvdb::GridCPtrVec grids;
+    openvdb::MetaMap metadata;
+    guardRead(mPath, [&] {
+        Archive archive(mPath);
+        for (const openvdb::GridBase::Ptr& grid : readOtherGrids(archive, cancel)) grids.push_back(grid);
+        metadata = archive.metadata();
+        out.setCompression(archiveCompression(archive.entries(), mChosen));
+    });
+    // OpenVDB's statistics describe the grid as it is in the file, so they are made anew, but only for those who had them.
+    out.setGridStatsMetadataEnabled(static_cast<bool>((*mGrid)[openvdb::GridBase::META_FILE_COMPRESSION]));
+
+    double expectedBytes = 1;
+    for (const auto& grid : grids) expectedBytes += static_cast<double>(grid->memUsage());
+    OutputStreamBuffer buffer(file, [&](std::uint64_t written) {
+        cancel.update(std::min(0.99, static_cast<double>(written) / expectedBytes));
+    });
+    std::ostream stream(&buffer);
+    stream.exceptions(std::ios::badbit | std::ios::failbit);
+    out.writeTo(stream, grids, metadata);
+    stream.flush();
+    cancel.check();
+    file.commit();
+    cancel.update(1);
+}
+
+} // namespace
+
+std::unique_ptr<VdbFile> VdbFile::read(const std::string& path, const std::string& grid, Progress* progress)
+{
+    openvdb::initialize();
+    return guardRead(path, [&] { return std::make_unique<LoadedVdb>(path, grid, progress); });
+}
+
+} // namespace vdb_nns

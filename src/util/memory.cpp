@@ -1,0 +1,89 @@
+// See memory.h.
+#include "util/memory.h"
+
+#include "vdb_nns/error.h"
+
+#include <algorithm>
+#include <cstdio>
+#include <cstring>
+#include <fstream>
+#include <limits>
+#include <string>
+
+#include <sys/mman.h>
+
+namespace vdb_nns {
+
+namespace {
+
+constexpr std::size_t kHugePage = std::size_t(2) << 20;
+
+std::uint64_t readNumber(const char* path, std::uint64_t otherwise)
+{
+    std::ifstream file(path);
+    std::uint64_t value = 0;
+    return file >> value ? value : otherwise; // "max" does not parse: no limit
+}
+
+std::uint64_t cgroupFreeBytes()
+{
+    constexpr std::uint64_t none = std::numeric_limits<std::uint64_t>::max();
+    std::uint64_t limit = readNumber("/sys/fs/cgroup/memory.max", none);
+    std::uint64_t used = readNumber("/sys/fs/cgroup/memory.current", 0);
+    if (limit == none) {
+        limit = readNumber("/sys/fs/cgroup/memory/memory.limit_in_bytes", none);
+        used = readNumber("/sys/fs/cgroup/memory/memory.usage_in_bytes", 0);
+    }
+    return limit > used ? limit - used : 0;
+}
+
+} // namespace
+
+PageBlock::PageBlock(std::size_t bytes)
+{
+    if (bytes == 0) return;
+    // Small blocks from huge pages would cost 2 MiB each when touched; they take plain pages.
+    const bool huge = bytes >= kHugePage;
+    const std::size_t unit = huge ? kHugePage : 4096;
+    mBytes = (bytes + unit - 1) / unit * unit;
+    const std::size_t mapped = mBytes + (huge ? kHugePage : 0);
+    void* raw = mmap(nullptr, mapped, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+    if (raw == MAP_FAILED) {
+        mBytes = 0;
+        throw CapacityError("the system refused " + std::to_string(bytes) + " bytes of memory", bytes,
+                            availableMemoryBytes());
+    }
+    mData = raw;
+    if (!huge) return;
+    const auto address = reinterpret_cast<std::uintptr_t>(raw);
+    const std::uintptr_t aligned = (address + kHugePage - 1) / kHugePage * kHugePage;
+    if (aligned > address) munmap(raw, aligned - address);
+    const std::size_t tail = address + mapped - (aligned + mBytes);
+    if (tail > 0) munmap(reinterpret_cast<void*>(aligned + mBytes), tail);
+    mData = reinterpret_cast<void*>(aligned);
+    madvise(mData, mBytes, MADV_HUGEPAGE); // advice: where it is refused, 4 KiB pages serve
+}
+
+PageBlock::~PageBlock()
+{
+    if (mData) munmap(mData, mBytes);
+}
+
+std::uint64_t availableMemoryBytes()
+{
+    std::uint64_t available = std::numeric_limits<std::uint64_t>::max();
+    std::ifstream file("/proc/meminfo");
+    std::string name, unit;
+    std::uint64_t kilobytes = 0;
+    while (file >> name >> kilobytes) {
+        if (name == "MemAvailable:") {
+            available = kilobytes * 1024;
+            break;
+        }
+        std::getline(file, unit);
+    }
+    available = std::min(available, cgroupFreeBytes());
+    return available - available / 16;
+}
+
+} // namespace vdb_nns
