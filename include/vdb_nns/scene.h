@@ -14,7 +14,7 @@ namespace vdb_nns {
 /// Parameters of a scene; empty ones take the scene's default. A scene's name, count and parameters fix every bit.
 struct SceneOptions {
     std::string name;        ///< one of sceneNames()
-    std::uint64_t count = 0; ///< particles wanted; lattices take the nearest size that works
+    std::uint64_t count = 0; ///< met exactly; a lattice is a full cube for n^3, else its last slab is cut
     std::uint64_t seed = 1;
     std::optional<double> spacing;      ///< h, world units
     std::optional<double> radiusFactor; ///< suggested radius / h

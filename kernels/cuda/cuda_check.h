@@ -14,8 +14,8 @@ inline void checkCall(cudaError_t code, const char* call, const char* file, int 
     if (code == cudaSuccess) return;
     std::string place = file;
     place = place.substr(place.find_last_of('/') + 1) + ":" + std::to_string(line);
-    throw DeviceError("CUDA: " + std::string(cudaGetErrorString(code)) + " (" + cudaGetErrorName(code) + ", code " +
-                      std::to_string(static_cast<int>(code)) + ") from " + call + " at " + place);
+    throw DeviceError("CUDA: " + std::string(cudaGetErrorString(code)) + " (" + cudaGetErrorName(code) +
+                      ", code " + std::to_string(static_cast<int>(code)) + ") from " + call + " at " + place);
 }
 
 } // namespace vdb_nns::cuda

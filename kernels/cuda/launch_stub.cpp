@@ -12,8 +12,9 @@ const char* buildDescription()
 
 std::vector<Device> listDevices()
 {
-    throw DeviceError("vdb_nns was built without CUDA, so it has no CUDA devices; use the CPU, or build it with "
-                      "-DVDB_NNS_CUDA=ON where there is a CUDA toolkit");
+    throw DeviceError(
+        "vdb_nns was built without CUDA, so it has no CUDA devices; use the CPU, or build it with "
+        "-DVDB_NNS_CUDA=ON where there is a CUDA toolkit");
 }
 
 } // namespace vdb_nns::cuda

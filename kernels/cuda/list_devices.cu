@@ -11,7 +11,8 @@ namespace vdb_nns::cuda {
 
 const char* buildDescription()
 {
-    return VDB_NNS_TEXT(__CUDACC_VER_MAJOR__) "." VDB_NNS_TEXT(__CUDACC_VER_MINOR__) " for sm_" VDB_NNS_CUDA_ARCHITECTURES;
+    return VDB_NNS_TEXT(__CUDACC_VER_MAJOR__) "." VDB_NNS_TEXT(
+        __CUDACC_VER_MINOR__) " for sm_" VDB_NNS_CUDA_ARCHITECTURES;
 }
 
 std::vector<Device> listDevices()

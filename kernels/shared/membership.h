@@ -11,13 +11,13 @@
 //      D = |p_c - p_q|^2 of the floats as they are,  d the true distance:    |sqrt(D) - d| <= 2 sqrt(3) eta =: delta
 //
 // 2. Arithmetic. The score of a candidate is s = fl(w_c + K + a.p_c) with w_c = fl(|p_c|^2), a = -2 p_q (exact),
-//    K = fl(|p_q|^2 - far), far = rho^2 + beta. In real arithmetic it would be D - far. With |p_c|^2 <= W = 3 (R+1)^2,
-//    |p_q| <= 1/2 an axis, |a.p_c| <= X = 3 (R+1) and |K| <= Q = rho^2 + 1:
+//    K = fl(w_q - far), far = rho^2 + beta rounded to float. In real arithmetic it would be D - (rho^2 + beta). With
+//    |p_c|^2 <= W = 3 (R+1)^2, |p_q| <= 1/2 an axis, |a.p_c| <= X = 3 (R+1), |p_q|^2 < 1 and |K|, far <= Q = rho^2 + 1:
 //      w_c: three roundings below W                                              3 u W
-//      K:   one (far and the sum are made in double)                               u Q
+//      K:   three roundings of w_q below 1, far's and the difference's           3 u + 2 u Q
 //      the sum w + K and three sums, each below W + Q + X; the products, where the machine does not fuse them, below X:
 //                                                                                4 u (W + Q + X) + u X
-//    Their total times 1.001 is at least |s - (D - far)| (second order terms are below 1e-6 of it). Flushed denormals
+//    Their total times 1.001 is at least |s - (D - rho^2 - beta)| (second order terms are below 1e-6 of it). Flushed denormals
 //    add less than 1e-36.
 //
 // 3. Decision. If d <= rho then D <= (rho + delta)^2, so D - rho^2 <= 2 rho delta + delta^2; if d > rho then
@@ -40,9 +40,10 @@
 namespace vdb_nns {
 
 struct FilterBounds {
-    double far;           // rho^2 + beta
-    float keep;           // rho^2 + 2 beta, rounded up
-    std::int32_t bandTop; // bits of -2 beta, rounded away from zero: s is in the band iff negative and bits <= bandTop
+    float far;  // rho^2 + beta
+    float keep; // rho^2 + 2 beta, rounded up
+    std::int32_t
+        bandTop; // bits of -2 beta, rounded away from zero: s is in the band iff negative and bits <= bandTop
 };
 
 static inline std::int32_t floatBits(float value)
@@ -59,20 +60,13 @@ static inline FilterBounds makeFilterBounds(double radiusCells, int reach, doubl
     const double u = 0x1p-24, rho2 = radiusCells * radiusCells;
     const double delta = 2 * 1.7320508075688774 * (coordinateError + 0x1p-21);
     const double w = 3.0 * (reach + 1) * (reach + 1), x = 3.0 * (reach + 1), q = rho2 + 1;
-    const double arithmetic = u * (3 * w + q + 4 * (w + q + x) + x) * 1.001;
+    const double arithmetic = u * (3 * w + 3 + 2 * q + 4 * (w + q + x) + x) * 1.001;
     const double beta = (2 * radiusCells * delta + delta * delta + arithmetic + 1e-13 * rho2) * 1.001;
     FilterBounds bounds;
-    bounds.far = rho2 + beta;
+    bounds.far = static_cast<float>(rho2 + beta);
     bounds.keep = std::nextafter(static_cast<float>(rho2 + 2 * beta), 1e30f);
     bounds.bandTop = floatBits(std::nextafter(static_cast<float>(-2 * beta), -1e30f));
     return bounds;
-}
-
-/// K of a query at p.
-VDB_NNS_HOST_DEVICE static inline float queryConstant(const FilterBounds& bounds, float px, float py, float pz)
-{
-    const double x = px, y = py, z = pz;
-    return static_cast<float>(x * x + y * y + z * z - bounds.far);
 }
 
 } // namespace vdb_nns

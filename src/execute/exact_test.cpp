@@ -62,7 +62,10 @@ UInt256 operator+(UInt256 a, UInt256 b)
     return s;
 }
 
-bool operator<=(UInt256 a, UInt256 b) { return a.high != b.high ? a.high < b.high : a.low <= b.low; }
+bool operator<=(UInt256 a, UInt256 b)
+{
+    return a.high != b.high ? a.high < b.high : a.low <= b.low;
+}
 
 int bitsOf(UInt128 v)
 {
@@ -73,7 +76,7 @@ int bitsOf(UInt128 v)
 // The nine terms of a pair's coordinate differences: voxel difference + b - a on each axis.
 struct Terms {
     Scaled term[3][3];
-    int exponent = kNoExponent; // the smallest
+    int exponent = kNoExponent;                // the smallest
     int top = std::numeric_limits<int>::min(); // exponent above the largest's highest bit
 
     Terms(const StoredPosition& a, const StoredPosition& b)

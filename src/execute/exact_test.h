@@ -36,12 +36,12 @@ private:
 
     ParticleView mView;
     double mRadius;
-    double mScale = 0;         // 2^-k; 0 where it would not be a normal number: no double test
+    double mScale = 0; // 2^-k; 0 where it would not be a normal number: no double test
     double mScaledRadius2 = 0;
     Matrix3 mScaledLinear{};
     std::int64_t mMatrix[3][3]; // linear = mMatrix * 2^mMatrixExponent
     int mMatrixExponent = 0;
-    bool mSmallMatrix = false;  // mMatrix is valid: entries below 2^61
+    bool mSmallMatrix = false; // mMatrix is valid: entries below 2^61
 };
 
 } // namespace vdb_nns

@@ -11,16 +11,21 @@ namespace {
 struct QueryVectors {
     Simd::F ax, ay, az, k; // -2 p_q, and K
 
-    QueryVectors(const FilterBounds& bounds, float px, float py, float pz)
-        : ax(Simd::set(-2 * px)), ay(Simd::set(-2 * py)), az(Simd::set(-2 * pz)),
-          k(Simd::set(queryConstant(bounds, px, py, pz)))
-    {}
-
-    // s of the candidates at x, y, z with squared length w.
-    Simd::F score(const float* x, const float* y, const float* z, const float* w) const
+    QueryVectors(const FilterBounds& bounds, float px, float py, float pz, float squaredLength)
+        : ax(Simd::set(-2 * px)),
+          ay(Simd::set(-2 * py)),
+          az(Simd::set(-2 * pz)),
+          k(Simd::set(squaredLength - bounds.far))
     {
-        const Simd::F s = Simd::mulAdd(Simd::load(x), ax, Simd::add(Simd::load(w), k));
-        return Simd::mulAdd(Simd::load(z), az, Simd::mulAdd(Simd::load(y), ay, s));
+    }
+
+    // s of the kept candidates at `p`; see HaloScratch for the offsets.
+    Simd::F score(const char* p, std::size_t stride) const
+    {
+        const Simd::F sum = Simd::add(Simd::load(floats(p + 4 * stride)), k);
+        const Simd::F x = Simd::mulAdd(Simd::load(floats(p)), ax, sum);
+        return Simd::mulAdd(Simd::load(floats(p + 2 * stride)), az,
+                            Simd::mulAdd(Simd::load(floats(p + stride)), ay, x));
     }
 };
 

@@ -2,6 +2,7 @@
 #include "vdb_nns/search.h"
 
 #include "execute/exact_test.h"
+#include "execute/kernels.h"
 #include "execute/search_task.h"
 #include "execute/thread_state.h"
 #include "grid/sparse_grid_data.h"
@@ -35,21 +36,13 @@ double now()
 void checkOptions(const SearchOptions& options)
 {
     if (options.reach < 1 || options.reach > 3) {
-        throw InvalidInput("a reach of " + std::to_string(options.reach) + " cells is not supported: use 1, 2 or 3");
+        throw InvalidInput("a reach of " + std::to_string(options.reach) +
+                           " cells is not supported: use 1, 2 or 3");
     }
-    if (options.simd != SimdLevel::kBest && static_cast<int>(options.simd) > static_cast<int>(bestSimdLevel())) {
+    if (options.simd != SimdLevel::kBest &&
+        static_cast<int>(options.simd) > static_cast<int>(bestSimdLevel())) {
         throw InvalidInput(std::string("this processor has no ") + simdLevelName(options.simd) + ": use " +
                            simdLevelName(bestSimdLevel()) + " or less");
-    }
-}
-
-const SearchKernels& kernelsOf(SimdLevel level)
-{
-    switch (level) {
-    case SimdLevel::kScalar: return kSearchScalar;
-    case SimdLevel::kSse4: return kSearchSse4;
-    case SimdLevel::kAvx2: return kSearchAvx2;
-    default: return kSearchAvx512;
     }
 }
 
@@ -85,7 +78,8 @@ void forEachTask(const SparseGridData& grid, const std::vector<Piece>& pieces, T
     const std::size_t grain = std::clamp<std::size_t>(pieces.size() / 4096, 1, 64);
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, pieces.size(), grain), [&](const auto& range) {
         ThreadState& state = states.local();
-        const std::uint32_t firstLeaf = pieces[range.begin()].leaf, endLeaf = pieces[range.end() - 1].leaf + 1;
+        const std::uint32_t firstLeaf = pieces[range.begin()].leaf,
+                            endLeaf = pieces[range.end() - 1].leaf + 1;
         state.neighborhoods.resize(endLeaf - firstLeaf);
         grid.topology.neighborhoods({grid.leafOrigins.data() + firstLeaf, endLeaf - firstLeaf},
                                     state.neighborhoods.data());
@@ -118,39 +112,14 @@ std::string gigabytes(std::uint64_t bytes)
 CapacityError listsDoNotFit(Encoding encoding, bool counted, std::uint64_t needed, std::uint64_t allowed)
 {
     return CapacityError(std::string(encoding == Encoding::kIndex ? "index lists" : "mask lists") + " need " +
-                             (counted ? "" : "at least ") + gigabytes(needed) + ", allowed are " + gigabytes(allowed) +
-                             ": " + (encoding == Encoding::kIndex ? "use encoding mask, " : "use ") +
+                             (counted ? "" : "at least ") + gigabytes(needed) + ", allowed are " +
+                             gigabytes(allowed) + ": " +
+                             (encoding == Encoding::kIndex ? "use encoding mask, " : "use ") +
                              "counts alone (encoding none), a smaller radius, or more host memory",
                          needed, allowed);
 }
 
 } // namespace
-
-SimdLevel bestSimdLevel()
-{
-    __builtin_cpu_init();
-    const bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi") &&
-                      __builtin_cpu_supports("bmi2");
-    if (avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
-        __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq")) {
-        return SimdLevel::kAvx512;
-    }
-    if (avx2) return SimdLevel::kAvx2;
-    if (__builtin_cpu_supports("sse4.2") && __builtin_cpu_supports("popcnt")) return SimdLevel::kSse4;
-    return SimdLevel::kScalar;
-}
-
-const char* simdLevelName(SimdLevel level)
-{
-    switch (level) {
-    case SimdLevel::kScalar: return "scalar";
-    case SimdLevel::kSse4: return "sse4";
-    case SimdLevel::kAvx2: return "avx2";
-    case SimdLevel::kAvx512: return "avx512";
-    case SimdLevel::kBest: break;
-    }
-    return simdLevelName(bestSimdLevel());
-}
 
 struct SearchEngine::Impl {
     GridScratch scratch;
@@ -164,16 +133,19 @@ struct SearchEngine::Impl {
         const SparseGridData& grid;
         SearchContext context;
         ExactTest exact;
-        const SearchKernels& kernels;
+        const Kernels& kernels;
         CancelCheck cancel;
         std::vector<Piece> pieces;
 
         Run(const SparseGridData& g, const SearchOptions& options)
-            : grid(g), context{blockViewOf(g), makeFilterBounds(g.radiusCells, g.reach, g.coordinateError)},
+            : grid(g),
+              context{blockViewOf(g), makeFilterBounds(g.radiusCells, g.reach, g.coordinateError)},
               exact(g.view, g.radius),
-              kernels(kernelsOf(options.simd == SimdLevel::kBest ? bestSimdLevel() : options.simd)),
-              cancel(options.progress, "search"), pieces(makePieces(g))
-        {}
+              kernels(kernelsFor(options.simd)),
+              cancel(options.progress, "search"),
+              pieces(makePieces(g))
+        {
+        }
     };
 
     void beginStatistics(const SearchOptions& options)
@@ -203,22 +175,21 @@ struct SearchEngine::Impl {
         kernel(run.context, task, state.judge(), state.halo, state.sink, state.statistics);
     }
 
-    void checkCapacity(const Run& run, Encoding encoding, std::uint64_t allowed);
+    void checkCapacity(const Run& run, Encoding encoding, std::uint64_t allowed, std::uint32_t* counts);
     void makeRows(const Run& run, const SearchOptions& options, NeighborListsData& result);
     void finish(const Run& run, NeighborListsData& result);
 };
 
 // Throws when the lists surely cannot fit. A few queries tell whether there is any doubt; only then all neighbors are
 // counted, at most four times what fits, so that the error never rests on an estimate.
-void SearchEngine::Impl::checkCapacity(const Run& run, Encoding encoding, std::uint64_t allowed)
+void SearchEngine::Impl::checkCapacity(const Run& run, Encoding encoding, std::uint64_t allowed,
+                                       std::uint32_t* counts)
 {
     constexpr std::size_t kProbes = 32;
     const std::size_t particles = run.grid.particleCount();
-    PageArray<std::uint32_t> counts;
-    counts.resizeDiscarding(particles);
     const auto count = [&](ThreadState& state, const SearchTask& task) {
         state.sink.slotBase = 0;
-        state.sink.rowCount = counts.data();
+        state.sink.rowCount = counts;
         runTask(run, run.kernels.count, state, task);
     };
     std::vector<Piece> probes;
@@ -241,7 +212,8 @@ void SearchEngine::Impl::checkCapacity(const Run& run, Encoding encoding, std::u
     here.begin();
     if (expected < 0.5 * static_cast<double>(allowed)) return;
     std::atomic<std::uint64_t> total{0};
-    const std::uint64_t enough = allowed > std::numeric_limits<std::uint64_t>::max() / 4 ? allowed : 4 * allowed;
+    const std::uint64_t enough =
+        allowed > std::numeric_limits<std::uint64_t>::max() / 4 ? allowed : 4 * allowed;
     forEachTask(run.grid, run.pieces, states, run.cancel, [&](ThreadState& state, const SearchTask& task) {
         if (total > enough) return;
         const std::uint64_t before = bytesOfRow(encoding, state.statistics);
@@ -261,27 +233,31 @@ void SearchEngine::Impl::makeRows(const Run& run, const SearchOptions& options, 
     std::uint64_t allowed = 0;
     ChunkPool pool(std::move(result.chunks));
     if (options.encoding != Encoding::kNone) {
-        const std::uint64_t held = run.grid.bytes() + result.rowCount.usedBytes() + result.rowBegin.usedBytes();
+        const std::uint64_t held =
+            run.grid.bytes() + result.rowCount.usedBytes() + result.rowBegin.usedBytes();
         allowed = options.hostMemoryBytes ? options.hostMemoryBytes - std::min(held, options.hostMemoryBytes)
                                           : availableMemoryBytes() + pool.freeBytes();
-        checkCapacity(run, options.encoding, allowed);
+        checkCapacity(run, options.encoding, allowed, result.rowCount.data());
         pool.begin(allowed, particles);
     }
-    const SearchTaskFunction kernel = index                                ? run.kernels.index
+    const SearchTaskFunction kernel = index                                 ? run.kernels.index
                                       : options.encoding == Encoding::kMask ? run.kernels.mask
                                                                             : run.kernels.count;
     try {
-        forEachTask(run.grid, run.pieces, states, run.cancel, [&](ThreadState& state, const SearchTask& task) {
-            state.pool = &pool;
-            state.sink.slotBase = 0;
-            state.sink.rowBegin = result.rowBegin.data();
-            state.sink.rowCount = result.rowCount.data();
-            runTask(run, kernel, state, task);
-            if (kernel == run.kernels.mask) state.maskRuns.push_back({task.firstSlot, state.sink.taskBegin});
-        });
+        forEachTask(run.grid, run.pieces, states, run.cancel,
+                    [&](ThreadState& state, const SearchTask& task) {
+                        state.pool = &pool;
+                        state.sink.slotBase = 0;
+                        state.sink.rowBegin = result.rowBegin.data();
+                        state.sink.rowCount = result.rowCount.data();
+                        runTask(run, kernel, state, task);
+                        if (kernel == run.kernels.mask)
+                            state.maskRuns.push_back({task.firstSlot, state.sink.taskBegin});
+                    });
     } catch (const ChunkPool::Exhausted&) {
         throw listsDoNotFit(options.encoding, false, pool.takenBytes(), allowed);
     }
+    for (ThreadState& state : states) state.finishRows();
     result.chunks = pool.release();
 }
 
@@ -336,7 +312,10 @@ SearchEngine::~SearchEngine() = default;
 SearchEngine::SearchEngine(SearchEngine&&) noexcept = default;
 SearchEngine& SearchEngine::operator=(SearchEngine&&) noexcept = default;
 
-const SearchStatistics& SearchEngine::statistics() const { return mImpl->statistics; }
+const SearchStatistics& SearchEngine::statistics() const
+{
+    return mImpl->statistics;
+}
 
 SparseGrid SearchEngine::buildGrid(const ParticleView& view, double radius, const SearchOptions& options)
 {
@@ -345,6 +324,8 @@ SparseGrid SearchEngine::buildGrid(const ParticleView& view, double radius, cons
     }
     checkOptions(options);
     const double start = now();
+    // The last lists hold the last grid; when nobody else reads them they let go of it.
+    if (mImpl->lists && mImpl->lists.use_count() == 1) mImpl->lists->grid = SparseGrid();
     if (!mImpl->grid || mImpl->grid.use_count() > 1) mImpl->grid = std::make_shared<SparseGridData>();
     buildSparseGrid(view, radius, options, mImpl->scratch, *mImpl->grid);
     mImpl->statistics.gridSeconds = now() - start;
@@ -382,16 +363,18 @@ void SearchEngine::visit(const SparseGrid& grid, const NeighborVisitor& visitor,
     const double start = now();
     const Impl::Run run(grid.data(), options);
     mImpl->beginStatistics(options);
-    forEachTask(run.grid, run.pieces, mImpl->states, run.cancel, [&](ThreadState& state, const SearchTask& task) {
-        state.beginVisit(run.grid, visitor, task);
-        mImpl->runTask(run, run.kernels.index, state, task);
-        state.flushVisit();
-    });
+    forEachTask(run.grid, run.pieces, mImpl->states, run.cancel,
+                [&](ThreadState& state, const SearchTask& task) {
+                    state.beginVisit(run.grid, visitor, task);
+                    mImpl->runTask(run, run.kernels.visit, state, task);
+                    state.flushVisit();
+                });
     mImpl->sumStatistics();
     mImpl->statistics.searchSeconds = now() - start;
 }
 
-NeighborLists SearchEngine::findNeighbors(const ParticleView& view, double radius, const SearchOptions& options)
+NeighborLists SearchEngine::findNeighbors(const ParticleView& view, double radius,
+                                          const SearchOptions& options)
 {
     return search(buildGrid(view, radius, options), options);
 }
@@ -401,7 +384,8 @@ NeighborLists findNeighbors(const ParticleView& view, double radius, const Searc
     return SearchEngine().findNeighbors(view, radius, options);
 }
 
-std::vector<std::uint32_t> countNeighbors(const ParticleView& view, double radius, const SearchOptions& options)
+std::vector<std::uint32_t> countNeighbors(const ParticleView& view, double radius,
+                                          const SearchOptions& options)
 {
     SearchOptions counting = options;
     counting.encoding = Encoding::kNone;

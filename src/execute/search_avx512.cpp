@@ -1,9 +1,12 @@
-// The search with AVX512. Compiled with the flags of that instruction set; see simd.h.
+// The kernels with AVX512. Compiled with the flags of that instruction set; see simd.h.
 #define VDB_NNS_SIMD_AVX512
+#include "execute/kernels.h"
 #include "execute/search_task-inl.h"
+#include "grid/locate_axis-inl.h"
 
 namespace vdb_nns {
 
-const SearchKernels kSearchAvx512 = {searchTask<IndexRows>, searchTask<MaskRows>, searchTask<CountRows>};
+const Kernels kKernelsAvx512 = {searchTask<IndexRows<StreamedRows>>, searchTask<IndexRows<DirectRows>>,
+                                searchTask<MaskRows>, searchTask<CountRows>, locateAxis};
 
 } // namespace vdb_nns

@@ -1,8 +1,11 @@
-// The search with plain C++. Compiled with the flags of that instruction set; see simd.h.
+// The kernels in plain C++. Compiled with the flags of that instruction set; see simd.h.
+#include "execute/kernels.h"
 #include "execute/search_task-inl.h"
+#include "grid/locate_axis-inl.h"
 
 namespace vdb_nns {
 
-const SearchKernels kSearchScalar = {searchTask<IndexRows>, searchTask<MaskRows>, searchTask<CountRows>};
+const Kernels kKernelsScalar = {searchTask<IndexRows<StreamedRows>>, searchTask<IndexRows<DirectRows>>,
+                                searchTask<MaskRows>, searchTask<CountRows>, locateAxis};
 
 } // namespace vdb_nns

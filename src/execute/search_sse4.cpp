@@ -1,9 +1,12 @@
-// The search with SSE4. Compiled with the flags of that instruction set; see simd.h.
+// The kernels with SSE4. Compiled with the flags of that instruction set; see simd.h.
 #define VDB_NNS_SIMD_SSE4
+#include "execute/kernels.h"
 #include "execute/search_task-inl.h"
+#include "grid/locate_axis-inl.h"
 
 namespace vdb_nns {
 
-const SearchKernels kSearchSse4 = {searchTask<IndexRows>, searchTask<MaskRows>, searchTask<CountRows>};
+const Kernels kKernelsSse4 = {searchTask<IndexRows<StreamedRows>>, searchTask<IndexRows<DirectRows>>,
+                              searchTask<MaskRows>, searchTask<CountRows>, locateAxis};
 
 } // namespace vdb_nns

@@ -13,15 +13,15 @@ namespace {
 // Pads the kept candidates to a whole vector: far from everything.
 constexpr float kFarAway = 1e30f;
 
-inline void copyRun(const BlockView& block, HaloScratch& halo, std::uint32_t at, std::uint32_t begin,
-                             std::uint32_t end, const float shift[3])
+inline void copyRun(const BlockView& block, char* to, std::size_t stride, std::uint32_t begin,
+                    std::uint32_t end, const float shift[3])
 {
     const Simd::F sx = Simd::set(shift[0]), sy = Simd::set(shift[1]), sz = Simd::set(shift[2]);
-    for (std::uint32_t i = begin; i < end; i += Simd::kLanes, at += Simd::kLanes) {
-        Simd::store(halo.x + at, Simd::add(Simd::load(block.x + i), sx));
-        Simd::store(halo.y + at, Simd::add(Simd::load(block.y + i), sy));
-        Simd::store(halo.z + at, Simd::add(Simd::load(block.z + i), sz));
-        Simd::store(halo.number + at, Simd::load(block.number + i));
+    for (std::uint32_t i = begin; i < end; i += Simd::kLanes, to += Simd::kLanes * sizeof(float)) {
+        Simd::store(floats(to), Simd::add(Simd::load(block.x + i), sx));
+        Simd::store(floats(to + stride), Simd::add(Simd::load(block.y + i), sy));
+        Simd::store(floats(to + 2 * stride), Simd::add(Simd::load(block.z + i), sz));
+        Simd::store(integers(to + 4 * stride), Simd::load(block.number + i));
     }
 }
 
@@ -86,7 +86,8 @@ void fillHalo(const BlockView& block, const SearchTask& task, HaloScratch& halo)
                         cell += bits & 1;
                     }
                     const float shift[3] = {8.0f * (nx - 1), 8.0f * (ny - 1), 8.0f * (nz - 1)};
-                    copyRun(block, halo, at, begin, *cell, shift);
+                    copyRun(block, halo.halo() + std::size_t(at) * sizeof(float), halo.stride, begin, *cell,
+                            shift);
                     at += *cell - begin;
                 }
             }
@@ -119,126 +120,150 @@ inline std::uint32_t candidatesOf(int reach, const std::uint32_t* lowest)
 
 QueryBox boxOf(const FilterBounds& bounds, const HaloScratch& halo, std::uint32_t first, std::uint32_t count)
 {
-    const float* const in[3] = {halo.x + first, halo.y + first, halo.z + first};
     Simd::F center[3], half[3];
     for (int k = 0; k < 3; ++k) {
-        float low = in[k][0], high = in[k][0];
-        std::uint32_t i = 0;
+        const float* const in = floats(halo.halo() + k * halo.stride) + first;
+        Simd::F low, high;
         if (count >= Simd::kLanes) {
-            Simd::F lows = Simd::load(in[k]), highs = lows;
-            for (i = Simd::kLanes; i + Simd::kLanes <= count; i += Simd::kLanes) {
-                const Simd::F v = Simd::load(in[k] + i);
-                lows = Simd::min(lows, v);
-                highs = Simd::max(highs, v);
+            low = high = Simd::load(in + count - Simd::kLanes);
+            for (std::uint32_t i = 0; i + Simd::kLanes < count; i += Simd::kLanes) {
+                const Simd::F v = Simd::load(in + i);
+                low = Simd::min(low, v);
+                high = Simd::max(high, v);
             }
-            low = minOfLanes(lows);
-            high = -minOfLanes(Simd::sub(Simd::set(0.0f), highs));
-        }
-        for (; i < count; ++i) {
-            low = in[k][i] < low ? in[k][i] : low;
-            high = in[k][i] > high ? in[k][i] : high;
+        } else {
+            low = high = firstLanesOr(Simd::load(in), count, Simd::set(*in));
         }
         // The half size must cover each |fl(q - centre)|; rounding is monotonic, so the ends' own roundings do.
-        const float c = 0.5f * (low + high), a = high - c, b = c - low;
+        const float l = minOfLanes(low), h = maxOfLanes(high), c = 0.5f * (l + h), a = h - c, b = c - l;
         center[k] = Simd::set(c);
         half[k] = Simd::set(a > b ? a : b);
     }
     return {center[0], center[1], center[2], half[0], half[1], half[2], Simd::set(bounds.keep)};
 }
 
-inline void appendBits(std::uint64_t* words, std::uint32_t at, std::uint64_t bits)
+// Bits one after the other into 64-bit words. Fewer than 64 at a time.
+struct BitWriter {
+    std::uint64_t* out;
+    std::uint64_t word = 0;
+    unsigned filled = 0;
+
+    void append(std::uint64_t bits, unsigned count)
+    {
+        word |= bits << filled;
+        filled += count;
+        if (filled >= 64) {
+            *out++ = word;
+            filled -= 64;
+            word = filled ? bits >> (count - filled) : 0;
+        }
+    }
+
+    void finish() { *out = word; }
+};
+
+// One vector of candidates at `p`, of which `valid` count: keeps those near the box, behind `kept`.
+template <bool kBits>
+inline char* gatherVector(const QueryBox& box, const char* p, std::size_t stride, Simd::Mask valid,
+                          unsigned count, char* kept, BitWriter& bits)
 {
-    words[at >> 6] |= bits << (at & 63);
-    if ((at & 63) + Simd::kLanes > 64) words[(at >> 6) + 1] |= bits >> (64 - (at & 63));
+    const Simd::F px = Simd::sub(Simd::load(floats(p)), box.centerX);
+    const Simd::F py = Simd::sub(Simd::load(floats(p + stride)), box.centerY);
+    const Simd::F pz = Simd::sub(Simd::load(floats(p + 2 * stride)), box.centerZ);
+    const Simd::Mask mask = box.near(px, py, pz) & valid;
+    if constexpr (kBits) bits.append(mask, count);
+    const Simd::Order order = Simd::order(mask);
+    Simd::store(floats(kept), Simd::compress(px, order));
+    Simd::store(floats(kept + stride), Simd::compress(py, order));
+    Simd::store(floats(kept + 2 * stride), Simd::compress(pz, order));
+    Simd::store(floats(kept + 4 * stride), Simd::compress(squaredLength(px, py, pz), order));
+    Simd::store(integers(kept + 8 * stride), Simd::compress(Simd::load(integers(p + 4 * stride)), order));
+    return kept + static_cast<std::size_t>(__builtin_popcount(mask)) * sizeof(float);
 }
 
-// Keeps the candidates of one run of cells that are near the box. Returns how many are kept in all.
-template <bool kKeepBits>
-inline std::uint32_t gatherRun(const QueryBox& box, HaloScratch& halo, std::uint32_t begin, std::uint32_t end,
-                               std::uint32_t kept, std::uint32_t candidate)
+// The candidates of one run of cells. Returns where the next kept one goes.
+template <bool kBits>
+inline char* gatherRun(const QueryBox& box, const char* halo, std::size_t stride, std::uint32_t begin,
+                       std::uint32_t end, char* kept, BitWriter& bits)
 {
-    for (std::uint32_t i = begin; i < end; i += Simd::kLanes) {
-        const Simd::F px = Simd::sub(Simd::load(halo.x + i), box.centerX);
-        const Simd::F py = Simd::sub(Simd::load(halo.y + i), box.centerY);
-        const Simd::F pz = Simd::sub(Simd::load(halo.z + i), box.centerZ);
-        const Simd::Mask mask = box.near(px, py, pz) & firstLanes(end - i);
-        if constexpr (kKeepBits) appendBits(halo.keepBits, candidate + (i - begin), mask);
-        const Simd::Order order = Simd::order(mask);
-        Simd::store(halo.keptX + kept, Simd::compress(px, order));
-        Simd::store(halo.keptY + kept, Simd::compress(py, order));
-        Simd::store(halo.keptZ + kept, Simd::compress(pz, order));
-        Simd::store(halo.keptW + kept, Simd::compress(squaredLength(px, py, pz), order));
-        Simd::store(halo.keptNumber + kept, Simd::compress(Simd::load(halo.number + i), order));
-        kept += static_cast<std::uint32_t>(__builtin_popcount(mask));
+    const char* p = halo + std::size_t(begin) * sizeof(float);
+    std::uint32_t left = end - begin;
+    for (; left >= Simd::kLanes; left -= Simd::kLanes, p += Simd::kLanes * sizeof(float)) {
+        kept = gatherVector<kBits>(box, p, stride, kAllLanes, Simd::kLanes, kept, bits);
     }
+    if (left > 0) kept = gatherVector<kBits>(box, p, stride, (1u << left) - 1, left, kept, bits);
     return kept;
 }
 
-// `cell` indexes the halo's cube at the lowest z of the cell's reach.
-template <bool kKeepBits>
-void gather(const SearchContext& context, HaloScratch& halo, const std::uint32_t* cell, CellSearch& search)
+// `lowest` indexes the halo's cube at the lowest z of the cell's reach.
+template <bool kBits>
+void gather(const SearchContext& context, HaloScratch& scratch, const std::uint32_t* lowest, CellSearch& cell)
 {
     const int reach = context.block.reach, side = 8 + 2 * reach;
-    const QueryBox box = boxOf(context.bounds, halo, search.firstQuery, search.queries);
-    std::uint32_t kept = 0, candidates = 0;
-    if constexpr (kKeepBits) {
-        const std::uint32_t all = candidatesOf(reach, cell);
-        for (std::uint32_t w = 0; w <= all / 64 + 1; ++w) halo.keepBits[w] = 0;
-    }
+    const QueryBox box = boxOf(context.bounds, scratch, cell.firstQuery, cell.queries);
+    const char* const halo = scratch.halo();
+    const std::size_t stride = scratch.stride;
+    char* kept = scratch.kept();
+    BitWriter bits{scratch.keepBits()};
+    std::uint32_t candidates = 0;
     for (int dx = -reach; dx <= reach; ++dx) {
         for (int dy = -reach; dy <= reach; ++dy) {
-            const std::uint32_t* const run = cell + (dx * side + dy) * side;
-            const std::uint32_t begin = run[0], end = run[2 * reach + 1];
+            const std::uint32_t* const run = lowest + (dx * side + dy) * side;
+            std::uint32_t begin = run[0];
+            const std::uint32_t end = run[2 * reach + 1];
+            candidates += end - begin;
             if (dx == 0 && dy == 0) {
                 // In two parts, to learn where the first query stands among the kept.
-                kept = gatherRun<kKeepBits>(box, halo, begin, search.firstQuery, kept, candidates);
-                search.self = kept;
-                kept = gatherRun<kKeepBits>(box, halo, search.firstQuery, end, kept,
-                                            candidates + (search.firstQuery - begin));
-            } else {
-                kept = gatherRun<kKeepBits>(box, halo, begin, end, kept, candidates);
+                kept = gatherRun<kBits>(box, halo, stride, begin, cell.firstQuery, kept, bits);
+                cell.self = static_cast<std::uint32_t>((kept - scratch.kept()) / sizeof(float));
+                begin = cell.firstQuery;
             }
-            candidates += end - begin;
+            kept = gatherRun<kBits>(box, halo, stride, begin, end, kept, bits);
         }
     }
-    for (int i = 0; i < Simd::kLanes; ++i) halo.keptW[kept + i] = kFarAway;
-    search.candidates = candidates;
-    search.kept = kept;
+    if constexpr (kBits) bits.finish();
+    Simd::store(floats(kept + 4 * stride), Simd::set(kFarAway));
+    cell.candidates = candidates;
+    cell.kept = static_cast<std::uint32_t>((kept - scratch.kept()) / sizeof(float));
 }
 
-// Tests one query against the kept candidates and hands each vector's hits to emit(first candidate, hits). With kBand
-// the judge decides the candidates in the band; without, the result tells whether there are any.
+// Tests one query against the kept candidates and hands each vector's hits to emit(where the vector is, hits). With
+// kBand the judge decides the candidates in the band; without, the result tells whether there are any.
 template <bool kBand, typename Emit>
-inline bool testQuery(const SearchContext& context, const HaloScratch& halo, const CellSearch& search,
+inline bool testQuery(const SearchContext& context, const HaloScratch& scratch, const CellSearch& cell,
                       std::uint32_t query, const BandJudge& judge, TaskStatistics& statistics, Emit&& emit)
 {
-    const std::uint32_t self = search.self + query;
-    const QueryVectors vectors(context.bounds, halo.keptX[self], halo.keptY[self], halo.keptZ[self]);
+    constexpr std::size_t kVector = Simd::kLanes * sizeof(float);
+    const char* p = scratch.kept();
+    const std::size_t stride = scratch.stride;
+    const std::uint32_t self = cell.self + query;
+    const char* const own = p + std::size_t(self) * sizeof(float);
+    const QueryVectors vectors(context.bounds, *floats(own), *floats(own + stride), *floats(own + 2 * stride),
+                               *floats(own + 4 * stride));
     const Simd::I bandTop = Simd::set(context.bounds.bandTop);
     Simd::I least = Simd::set(std::int32_t(0x7fffffff));
-    const auto step = [&](std::uint32_t j, Simd::Mask allowed) {
-        const Simd::F score =
-            vectors.score(halo.keptX + j, halo.keptY + j, halo.keptZ + j, halo.keptW + j);
-        Simd::Mask hits = Simd::movesign(score) & allowed;
+    const auto step = [&](Simd::Mask without) {
+        const Simd::F score = vectors.score(p, stride);
+        Simd::Mask hits = Simd::movesign(score) & ~without;
         if constexpr (kBand) {
             Simd::Mask band = hits & Simd::lessEqual(Simd::bits(score), bandTop);
             for (; band; band &= band - 1) {
                 const unsigned lane = static_cast<unsigned>(__builtin_ctz(band));
                 ++statistics.bandPairs;
-                if (!judge.isNeighbor(judge.state, halo.number[search.firstQuery + query], halo.keptNumber[j + lane])) {
-                    hits &= ~(Simd::Mask(1) << lane);
-                }
+                const std::uint32_t i = integers(own + 8 * stride)[0], j = integers(p + 8 * stride)[lane];
+                if (!judge.isNeighbor(judge.state, i, j)) hits &= ~(Simd::Mask(1) << lane);
             }
         } else {
             least = Simd::min(least, Simd::bits(score));
         }
-        emit(j, hits);
+        emit(p, hits);
+        p += kVector;
     };
-    const std::uint32_t selfVector = self - self % Simd::kLanes;
-    std::uint32_t j = 0;
-    for (; j < selfVector; j += Simd::kLanes) step(j, kAllLanes);
-    step(j, kAllLanes & ~(Simd::Mask(1) << self % Simd::kLanes));
-    for (j += Simd::kLanes; j < search.kept; j += Simd::kLanes) step(j, kAllLanes);
+    const char* const selfVector = p + std::size_t(self / Simd::kLanes) * kVector;
+    const char* const end = p + std::size_t(cell.kept) * sizeof(float);
+    while (p < selfVector) step(0);
+    step(Simd::Mask(1) << self % Simd::kLanes);
+    while (p < end) step(0);
     return !kBand && Simd::lessEqual(least, bandTop) != 0;
 }
 
@@ -265,58 +290,150 @@ inline void forEachCell(const BlockView& block, const SearchTask& task, const Ha
     }
 }
 
-struct IndexRows {
+// Rows of numbers, straight to the sink's memory.
+struct DirectRows {
     static constexpr bool kKeepBits = false;
 
-    static void prepare(const SearchContext&, const SearchTask&, const HaloScratch&, RowSink&) {}
-
-    static void search(const SearchContext& context, HaloScratch& halo, const CellSearch& search, std::uint32_t slot,
-                       const BandJudge& judge, RowSink& sink, TaskStatistics& statistics)
+    DirectRows(const SearchContext&, const SearchTask&, const HaloScratch&, RowSink& rowSink) : sink(rowSink)
     {
-        for (std::uint32_t q = 0; q < search.queries; ++q) {
-            const std::size_t most = search.kept + Simd::kLanes;
-            if (static_cast<std::size_t>(sink.end - sink.out) < most) sink.grow(sink, most);
-            const std::uint32_t row = slot + q - sink.slotBase;
-            std::uint32_t* out = sink.out;
-            const auto emit = [&](std::uint32_t j, Simd::Mask hits) {
-                Simd::store(out, Simd::compress(Simd::load(halo.keptNumber + j), Simd::order(hits)));
+    }
+
+    std::uint32_t* reserve(std::size_t entries)
+    {
+        if (static_cast<std::size_t>(sink.end - sink.out) < entries) sink.grow(sink, entries);
+        return sink.out;
+    }
+
+    // A row of `count` entries stands where reserve() said. Returns where it will be read.
+    std::uint32_t* commit(std::uint32_t count)
+    {
+        sink.out += count;
+        return sink.out - count;
+    }
+
+    void finish() {}
+
+    RowSink& sink;
+};
+
+// Rows of numbers that go to the sink's memory past the caches. Lists are written once and not read soon, and ordinary
+// stores would read every line from memory before overwriting it. Rows are made in a staging buffer in the cache; whole
+// lines leave from there, and the part of a line that a task leaves waits in the sink for the next one.
+struct StreamedRows {
+    static constexpr bool kKeepBits = false;
+    static constexpr std::size_t kLine = 16; // entries
+    static constexpr std::size_t kFlushAt =
+        1024; // entries: 4 KB, and HaloScratch has room for as many past the kept
+
+    StreamedRows(const SearchContext&, const SearchTask&, const HaloScratch& scratch, RowSink& rowSink)
+        : sink(rowSink), staging(scratch.staging()), staged(rowSink.tailSize)
+    {
+        for (std::size_t k = 0; k < staged; ++k) staging[k] = sink.tail[k];
+    }
+
+    std::uint32_t* reserve(std::size_t entries)
+    {
+        if (static_cast<std::size_t>(sink.end - sink.out) < staged + entries) {
+            finish();
+            sink.grow(sink, entries + kLine);
+            staged = 0;
+        }
+        return staging + staged;
+    }
+
+    std::uint32_t* commit(std::uint32_t count)
+    {
+        std::uint32_t* const row = sink.out + staged;
+        staged += count;
+        if (staged >= kFlushAt) flush();
+        return row;
+    }
+
+    void flush()
+    {
+        std::size_t i = 0;
+        for (; i + kLine <= staged; i += kLine) {
+            for (std::size_t k = 0; k < kLine; k += Simd::kLanes) {
+                Simd::stream(sink.out + i + k, Simd::load(staging + i + k));
+            }
+        }
+        sink.out += i;
+        staged -= i;
+        for (std::size_t k = 0; k < staged; ++k) staging[k] = staging[i + k];
+    }
+
+    void finish()
+    {
+        flush();
+        for (std::size_t k = 0; k < staged; ++k) sink.tail[k] = staging[k];
+        sink.tailSize = static_cast<std::uint32_t>(staged);
+        Simd::streamFence();
+    }
+
+    RowSink& sink;
+    std::uint32_t* staging;
+    std::size_t staged;
+};
+
+template <typename Target>
+struct IndexRows : Target {
+    using Target::Target;
+
+    void search(const SearchContext& context, const HaloScratch& scratch, const CellSearch& cell,
+                std::uint32_t slot, const BandJudge& judge, TaskStatistics& statistics)
+    {
+        RowSink& sink = this->sink;
+        const std::size_t stride = scratch.stride, most = cell.kept + Simd::kLanes;
+        std::uint64_t pairs = 0;
+        for (std::uint32_t q = 0; q < cell.queries; ++q) {
+            std::uint32_t* const begin = this->reserve(most);
+            std::uint32_t* out = begin;
+            const auto emit = [&](const char* p, Simd::Mask hits) {
+                Simd::store(out, Simd::compress(Simd::load(integers(p + 8 * stride)), Simd::order(hits)));
                 out += __builtin_popcount(hits);
             };
-            if (testQuery<false>(context, halo, search, q, judge, statistics, emit)) {
-                out = sink.out;
-                testQuery<true>(context, halo, search, q, judge, statistics, emit);
+            if (testQuery<false>(context, scratch, cell, q, judge, statistics, emit)) {
+                out = begin;
+                testQuery<true>(context, scratch, cell, q, judge, statistics, emit);
             }
-            const auto count = static_cast<std::uint32_t>(out - sink.out);
-            sink.rowBegin[row] = sink.out;
+            const auto count = static_cast<std::uint32_t>(out - begin);
+            const std::uint32_t row = slot + q - sink.slotBase;
+            sink.rowBegin[row] = this->commit(count);
             sink.rowCount[row] = count;
-            statistics.pairs += count;
-            sink.out = out;
             sink.nextSlot = slot + q + 1;
+            pairs += count;
         }
+        statistics.pairs += pairs;
     }
 };
 
 struct CountRows {
     static constexpr bool kKeepBits = false;
 
-    static void prepare(const SearchContext&, const SearchTask&, const HaloScratch&, RowSink&) {}
-
-    static void search(const SearchContext& context, HaloScratch& halo, const CellSearch& search, std::uint32_t slot,
-                       const BandJudge& judge, RowSink& sink, TaskStatistics& statistics)
+    CountRows(const SearchContext&, const SearchTask&, const HaloScratch&, RowSink& rowSink) : sink(rowSink)
     {
-        for (std::uint32_t q = 0; q < search.queries; ++q) {
+    }
+
+    void search(const SearchContext& context, const HaloScratch& scratch, const CellSearch& cell,
+                std::uint32_t slot, const BandJudge& judge, TaskStatistics& statistics)
+    {
+        for (std::uint32_t q = 0; q < cell.queries; ++q) {
             std::uint32_t count = 0;
-            const auto emit = [&](std::uint32_t, Simd::Mask hits) {
+            const auto emit = [&](const char*, Simd::Mask hits) {
                 count += static_cast<std::uint32_t>(__builtin_popcount(hits));
             };
-            if (testQuery<false>(context, halo, search, q, judge, statistics, emit)) {
+            if (testQuery<false>(context, scratch, cell, q, judge, statistics, emit)) {
                 count = 0;
-                testQuery<true>(context, halo, search, q, judge, statistics, emit);
+                testQuery<true>(context, scratch, cell, q, judge, statistics, emit);
             }
             sink.rowCount[slot + q - sink.slotBase] = count;
             statistics.pairs += count;
         }
     }
+
+    void finish() {}
+
+    RowSink& sink;
 };
 
 // The lowest bits of `bits`, one for each set bit of `keep`, moved to the places of those.
@@ -335,49 +452,54 @@ inline std::uint64_t deposit(std::uint64_t bits, std::uint64_t keep)
 struct MaskRows {
     static constexpr bool kKeepBits = true;
 
-    static void prepare(const SearchContext& context, const SearchTask& task, const HaloScratch& halo, RowSink& sink)
+    MaskRows(const SearchContext& context, const SearchTask& task, const HaloScratch& scratch,
+             RowSink& rowSink)
+        : sink(rowSink)
     {
         std::size_t words = 0;
-        forEachCell(context.block, task, halo, [&](const std::uint32_t* lowest, const CellSearch& cell, std::uint32_t) {
-            words += std::size_t(cell.queries) * ((candidatesOf(context.block.reach, lowest) + 31) / 32);
-        });
+        forEachCell(context.block, task, scratch,
+                    [&](const std::uint32_t* lowest, const CellSearch& cell, std::uint32_t) {
+                        words += std::size_t(cell.queries) *
+                                 ((candidatesOf(context.block.reach, lowest) + 31) / 32);
+                    });
         sink.grow(sink, words + 2); // a row is written 64 bits at a time
         sink.taskBegin = sink.out;
     }
 
-    static void search(const SearchContext& context, HaloScratch& halo, const CellSearch& search, std::uint32_t slot,
-                       const BandJudge& judge, RowSink& sink, TaskStatistics& statistics)
+    void search(const SearchContext& context, const HaloScratch& scratch, const CellSearch& cell,
+                std::uint32_t slot, const BandJudge& judge, TaskStatistics& statistics)
     {
-        const std::uint32_t rowWords = (search.candidates + 31) / 32;
-        for (std::uint32_t q = 0; q < search.queries; ++q) {
-            std::uint64_t hitWord = 0;
-            const auto emit = [&](std::uint32_t j, Simd::Mask hits) {
-                hitWord |= std::uint64_t(hits) << (j & 63);
-                if ((j & 63) == 64 - Simd::kLanes) {
-                    halo.hitBits[j >> 6] = hitWord;
-                    hitWord = 0;
-                }
-            };
-            if (testQuery<false>(context, halo, search, q, judge, statistics, emit)) {
-                hitWord = 0;
-                testQuery<true>(context, halo, search, q, judge, statistics, emit);
+        const std::uint32_t rowWords = (cell.candidates + 31) / 32;
+        std::uint64_t* const hitBits = scratch.hitBits();
+        for (std::uint32_t q = 0; q < cell.queries; ++q) {
+            BitWriter bits{hitBits};
+            const auto emit = [&](const char*, Simd::Mask hits) { bits.append(hits, Simd::kLanes); };
+            if (testQuery<false>(context, scratch, cell, q, judge, statistics, emit)) {
+                bits = BitWriter{hitBits};
+                testQuery<true>(context, scratch, cell, q, judge, statistics, emit);
             }
-            if ((search.kept + Simd::kLanes - 1) / Simd::kLanes * Simd::kLanes % 64) halo.hitBits[search.kept >> 6] = hitWord;
-            const std::uint32_t count = writeRow(halo, rowWords, sink.out);
+            bits.finish();
+            const std::uint32_t count = writeRow(hitBits, scratch.keepBits(), rowWords, sink.out);
             sink.rowCount[slot + q - sink.slotBase] = count;
             sink.out += rowWords;
             statistics.pairs += count;
         }
     }
 
+    void finish() {}
+
+    RowSink& sink;
+
 private:
-    static std::uint32_t writeRow(const HaloScratch& halo, std::uint32_t rowWords, std::uint32_t* row)
+    static std::uint32_t writeRow(const std::uint64_t* hitBits, const std::uint64_t* keepBits,
+                                  std::uint32_t rowWords, std::uint32_t* row)
     {
         std::uint32_t hit = 0, count = 0;
         for (std::uint32_t w = 0; w < rowWords; w += 2) {
-            const std::uint64_t keep = halo.keepBits[w / 2];
-            std::uint64_t bits = halo.hitBits[hit >> 6] >> (hit & 63);
-            if (hit & 63) bits |= halo.hitBits[(hit >> 6) + 1] << (64 - (hit & 63));
+            const std::uint64_t keep = keepBits[w / 2];
+            // Two shifts, as one by 64 would be none.
+            const std::uint64_t bits = hitBits[hit >> 6] >> (hit & 63) | hitBits[(hit >> 6) + 1]
+                                                                             << 1 << (63 - (hit & 63));
             hit += static_cast<std::uint32_t>(__builtin_popcountll(keep));
             const std::uint64_t out = deposit(bits, keep);
             count += static_cast<std::uint32_t>(__builtin_popcountll(out));
@@ -388,17 +510,19 @@ private:
 };
 
 template <typename Rows>
-void searchTask(const SearchContext& context, const SearchTask& task, const BandJudge& judge, HaloScratch& halo,
-                RowSink& sink, TaskStatistics& statistics)
+void searchTask(const SearchContext& context, const SearchTask& task, const BandJudge& judge,
+                HaloScratch& halo, RowSink& sink, TaskStatistics& statistics)
 {
     const BlockView& block = context.block;
     fillHalo(block, task, halo);
-    Rows::prepare(context, task, halo, sink);
-    forEachCell(block, task, halo, [&](const std::uint32_t* lowest, CellSearch& cell, std::uint32_t firstSlot) {
-        gather<Rows::kKeepBits>(context, halo, lowest, cell);
-        statistics.candidateTests += std::uint64_t(cell.queries) * cell.candidates;
-        Rows::search(context, halo, cell, firstSlot, judge, sink, statistics);
-    });
+    Rows rows(context, task, halo, sink);
+    forEachCell(block, task, halo,
+                [&](const std::uint32_t* lowest, CellSearch& cell, std::uint32_t firstSlot) {
+                    gather<Rows::kKeepBits>(context, halo, lowest, cell);
+                    statistics.candidateTests += std::uint64_t(cell.queries) * cell.candidates;
+                    rows.search(context, halo, cell, firstSlot, judge, statistics);
+                });
+    rows.finish();
 }
 
 } // namespace

@@ -36,24 +36,37 @@ struct RowSink {
     std::uint32_t slotBase;                           // slot of rowBegin[0] and rowCount[0]
     std::uint32_t** rowBegin;                         // index rows only
     std::uint32_t* rowCount;
-    std::uint32_t nextSlot;                           // all rows of the task before it are done; index rows only
-    const std::uint32_t* taskBegin;                   // mask rows only: set by the kernel
+    std::uint32_t nextSlot;         // all rows of the task before it are done; index rows only
+    const std::uint32_t* taskBegin; // mask rows only: set by the kernel
+    std::uint32_t tail[16];         // streamed rows only: entries that belong at `out`
+    std::uint32_t tailSize;
 };
 
-// Memory of one thread. The particles of a leaf and its halo, by cell (x, y, z) lexicographic, about the leaf's centre;
-// and the candidates that one cell's queries keep.
+// Memory of one thread: the particles of a leaf and its halo, by cell (x, y, z) lexicographic, about the leaf's centre;
+// and the candidates that one cell's queries keep, about the centre of their box. In units of `stride` bytes from `base`:
+//   kept x 0, y 1, z 2, squared length 4, number 8      halo x 5, y 6, z 7, number 9      bits or rows 3
 struct HaloScratch {
     static constexpr int kMaxSide = 8 + 2 * 3;
-    std::uint32_t start[kMaxSide * kMaxSide * kMaxSide + 1]; // first particle of each cell of the cube; the end
-    std::size_t capacity;
-    float *x, *y, *z;
-    std::uint32_t* number;
-    float *keptX, *keptY, *keptZ, *keptW; // about the centre of the queries' box; W is the squared length
-    std::uint32_t* keptNumber;
-    std::uint64_t* keepBits; // by candidate of the cells in reach: kept by the box filter
-    std::uint64_t* hitBits;  // by kept candidate: within the radius of one query
+    std::uint32_t
+        start[kMaxSide * kMaxSide * kMaxSide + 1]; // first particle of each cell of the cube; the end
+    char* base;
+    std::size_t stride;
+    std::size_t capacity; // particles
     void* owner;
     void (*reserve)(HaloScratch& scratch, std::size_t particles);
+
+    char* kept() const { return base; }
+    char* halo() const { return base + 5 * stride; }
+    // Where rows of numbers are made. kStagingSlack entries longer than the kept candidates.
+    std::uint32_t* staging() const { return reinterpret_cast<std::uint32_t*>(base + 3 * stride); }
+    static constexpr std::size_t kStagingSlack = 1088;
+    // By candidate of the cells in reach: kept by the box filter.
+    std::uint64_t* keepBits() const { return reinterpret_cast<std::uint64_t*>(base + 3 * stride); }
+    // By kept candidate: within the radius of one query. A stride of floats has room for both several times over.
+    std::uint64_t* hitBits() const
+    {
+        return reinterpret_cast<std::uint64_t*>(base + 3 * stride + stride / 2 / 64 * 64);
+    }
 };
 
 struct TaskStatistics {
@@ -62,15 +75,7 @@ struct TaskStatistics {
     std::uint64_t bandPairs = 0;
 };
 
-using SearchTaskFunction = void (*)(const SearchContext&, const SearchTask&, const BandJudge&, HaloScratch&, RowSink&,
-                                    TaskStatistics&);
-
-struct SearchKernels {
-    SearchTaskFunction index; // rows of numbers
-    SearchTaskFunction mask;  // rows of membership bits
-    SearchTaskFunction count; // counts alone
-};
-
-extern const SearchKernels kSearchScalar, kSearchSse4, kSearchAvx2, kSearchAvx512;
+using SearchTaskFunction = void (*)(const SearchContext&, const SearchTask&, const BandJudge&, HaloScratch&,
+                                    RowSink&, TaskStatistics&);
 
 } // namespace vdb_nns

@@ -2,7 +2,7 @@
 // search_*.cpp files only, each compiled with its own flags: everything has internal linkage.
 //
 // movesign() gives one bit a lane, lane 0 lowest. compress(v, order(m)) moves the lanes of m to the front, in order; what
-// it leaves in the other lanes is finite if v is.
+// it leaves in the other lanes is finite if v is. stream() writes past the caches, to aligned addresses.
 #pragma once
 
 #include <cstdint>
@@ -26,6 +26,8 @@ struct Simd {
     static I load(const std::uint32_t* p) { return _mm512_loadu_si512(p); }
     static void store(float* p, F v) { _mm512_storeu_ps(p, v); }
     static void store(std::uint32_t* p, I v) { _mm512_storeu_si512(p, v); }
+    static void stream(std::uint32_t* p, I v) { _mm512_stream_si512(reinterpret_cast<__m512i*>(p), v); }
+    static void streamFence() { _mm_sfence(); }
     static F set(float v) { return _mm512_set1_ps(v); }
     static I set(std::int32_t v) { return _mm512_set1_epi32(v); }
     static F add(F a, F b) { return _mm512_add_ps(a, b); }
@@ -72,6 +74,8 @@ struct Simd {
     static I load(const std::uint32_t* p) { return _mm256_loadu_si256(reinterpret_cast<const __m256i*>(p)); }
     static void store(float* p, F v) { _mm256_storeu_ps(p, v); }
     static void store(std::uint32_t* p, I v) { _mm256_storeu_si256(reinterpret_cast<__m256i*>(p), v); }
+    static void stream(std::uint32_t* p, I v) { _mm256_stream_si256(reinterpret_cast<__m256i*>(p), v); }
+    static void streamFence() { _mm_sfence(); }
     static F set(float v) { return _mm256_set1_ps(v); }
     static I set(std::int32_t v) { return _mm256_set1_epi32(v); }
     static F add(F a, F b) { return _mm256_add_ps(a, b); }
@@ -87,7 +91,10 @@ struct Simd {
     static Mask lessEqual(F a, F b) { return movesign(_mm256_cmp_ps(a, b, _CMP_LE_OQ)); }
     static Mask lessEqual(I a, I b) { return ~movesign(_mm256_castsi256_ps(_mm256_cmpgt_epi32(a, b))) & 255; }
     using Order = __m256i;
-    static Order order(Mask m) { return _mm256_load_si256(reinterpret_cast<const __m256i*>(kCompress.lanes[m])); }
+    static Order order(Mask m)
+    {
+        return _mm256_load_si256(reinterpret_cast<const __m256i*>(kCompress.lanes[m]));
+    }
     static F compress(F v, Order o) { return _mm256_permutevar8x32_ps(v, o); }
     static I compress(I v, Order o) { return _mm256_permutevar8x32_epi32(v, o); }
 };
@@ -121,6 +128,8 @@ struct Simd {
     static I load(const std::uint32_t* p) { return _mm_loadu_si128(reinterpret_cast<const __m128i*>(p)); }
     static void store(float* p, F v) { _mm_storeu_ps(p, v); }
     static void store(std::uint32_t* p, I v) { _mm_storeu_si128(reinterpret_cast<__m128i*>(p), v); }
+    static void stream(std::uint32_t* p, I v) { _mm_stream_si128(reinterpret_cast<__m128i*>(p), v); }
+    static void streamFence() { _mm_sfence(); }
     static F set(float v) { return _mm_set1_ps(v); }
     static I set(std::int32_t v) { return _mm_set1_epi32(v); }
     static F add(F a, F b) { return _mm_add_ps(a, b); }
@@ -136,7 +145,10 @@ struct Simd {
     static Mask lessEqual(F a, F b) { return movesign(_mm_cmple_ps(a, b)); }
     static Mask lessEqual(I a, I b) { return ~movesign(_mm_castsi128_ps(_mm_cmpgt_epi32(a, b))) & 15; }
     using Order = __m128i;
-    static Order order(Mask m) { return _mm_load_si128(reinterpret_cast<const __m128i*>(kCompress.bytes[m])); }
+    static Order order(Mask m)
+    {
+        return _mm_load_si128(reinterpret_cast<const __m128i*>(kCompress.bytes[m]));
+    }
     static F compress(F v, Order o) { return _mm_castsi128_ps(_mm_shuffle_epi8(_mm_castps_si128(v), o)); }
     static I compress(I v, Order o) { return _mm_shuffle_epi8(v, o); }
 };
@@ -154,6 +166,8 @@ struct Simd {
     static I load(const std::uint32_t* p) { return {static_cast<std::int32_t>(*p)}; }
     static void store(float* p, F v) { *p = v; }
     static void store(std::uint32_t* p, I v) { *p = static_cast<std::uint32_t>(v.v); }
+    static void stream(std::uint32_t* p, I v) { store(p, v); }
+    static void streamFence() {}
     static F set(float v) { return v; }
     static I set(std::int32_t v) { return {v}; }
     static F add(F a, F b) { return a + b; }
@@ -183,19 +197,45 @@ struct Simd {
 
 constexpr Simd::Mask kAllLanes = (1u << Simd::kLanes) - 1;
 
-// The bits of the lowest `n` lanes, all of them for n >= kLanes.
-inline Simd::Mask firstLanes(std::uint64_t n)
+inline const float* floats(const char* p)
 {
-    return n >= Simd::kLanes ? kAllLanes : (1u << n) - 1;
+    return reinterpret_cast<const float*>(p);
+}
+inline float* floats(char* p)
+{
+    return reinterpret_cast<float*>(p);
+}
+inline const std::uint32_t* integers(const char* p)
+{
+    return reinterpret_cast<const std::uint32_t*>(p);
+}
+inline std::uint32_t* integers(char* p)
+{
+    return reinterpret_cast<std::uint32_t*>(p);
+}
+
+// The lowest `n` lanes of v, the others of w. 0 < n < kLanes.
+inline Simd::F firstLanesOr(Simd::F v, std::uint32_t n, Simd::F w)
+{
+    float lane[2 * Simd::kLanes];
+    Simd::store(lane, v);
+    Simd::store(lane + n, w);
+    return Simd::load(lane);
 }
 
 inline float minOfLanes(Simd::F v)
 {
-    float lane[Simd::kLanes];
+    float lane[2 * Simd::kLanes];
     Simd::store(lane, v);
-    float m = lane[0];
-    for (int i = 1; i < Simd::kLanes; ++i) m = lane[i] < m ? lane[i] : m;
-    return m;
+    for (int half = Simd::kLanes / 2; half > 0; half /= 2) {
+        for (int i = 0; i < half; ++i) lane[i] = lane[i + half] < lane[i] ? lane[i + half] : lane[i];
+    }
+    return lane[0];
+}
+
+inline float maxOfLanes(Simd::F v)
+{
+    return -minOfLanes(Simd::sub(Simd::set(0.0f), v));
 }
 
 } // namespace

@@ -12,7 +12,8 @@ void ChunkPool::begin(std::uint64_t allowedBytes, std::size_t particles)
     // One chunk a thread may be nearly empty: no more than 1/8 of what is allowed goes that way. Large chunks keep rows
     // on huge pages; small scenes take less, so that they do not touch a huge page for a few rows.
     const auto threads = static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());
-    const std::uint64_t wanted = std::clamp<std::uint64_t>(particles * 128 / threads, 65536, std::uint64_t(32) << 20);
+    const std::uint64_t wanted =
+        std::clamp<std::uint64_t>(particles * 128 / threads, 65536, std::uint64_t(32) << 20);
     mChunkBytes = std::max<std::uint64_t>(4096, std::min(wanted, allowedBytes / (8 * threads)));
     mAllowedBytes = allowedBytes;
 }
@@ -20,7 +21,8 @@ void ChunkPool::begin(std::uint64_t allowedBytes, std::size_t particles)
 void* ChunkPool::take(std::size_t bytes, std::size_t& takenBytes)
 {
     const std::lock_guard<std::mutex> lock(mMutex);
-    const auto enough = std::find_if(mFree.begin(), mFree.end(), [&](const PageBlock& b) { return b.bytes() >= bytes; });
+    const auto enough =
+        std::find_if(mFree.begin(), mFree.end(), [&](const PageBlock& b) { return b.bytes() >= bytes; });
     PageBlock block;
     if (enough != mFree.end()) {
         block = std::move(*enough);
@@ -62,6 +64,7 @@ void ThreadState::begin()
     exactPairs = maskBytes = 0;
     maskRuns.clear();
     sink.out = sink.end = nullptr;
+    sink.tailSize = 0;
     sink.grow = growRows;
 }
 
@@ -71,27 +74,28 @@ bool ThreadState::judgePair(void* state, std::uint32_t query, std::uint32_t cand
     return self.exact->isNeighbor(query, candidate, self.exactPairs);
 }
 
-BandJudge ThreadState::judge() { return {this, judgePair}; }
+void ThreadState::finishRows()
+{
+    std::copy_n(sink.tail, sink.tailSize, sink.out);
+    sink.tailSize = 0;
+}
+
+BandJudge ThreadState::judge()
+{
+    return {this, judgePair};
+}
 
 void ThreadState::reserveHalo(HaloScratch& scratch, std::size_t particles)
 {
-    if (particles <= scratch.capacity && scratch.x) return;
+    if (particles <= scratch.capacity && scratch.base) return;
     auto& self = *static_cast<ThreadState*>(scratch.owner);
     const std::size_t capacity = particles + particles / 2 + 1024;
-    // Vector code reads and writes up to two vectors past the end. Lines of slack between the arrays also keep them from
-    // falling on the same cache sets.
-    const std::size_t stride = (capacity + 64 + 15) / 16 * 16 + 16, bitWords = capacity / 64 + 8;
+    // Vector code reads and writes up to two vectors past the end. An odd number of lines keeps the arrays from falling
+    // on the same cache sets.
+    scratch.stride = ((capacity + HaloScratch::kStagingSlack) * sizeof(float) / 64 | 1) * 64;
     self.mHaloMemory = PageBlock();
-    self.mHaloMemory = PageBlock(9 * stride * sizeof(float) + 2 * bitWords * sizeof(std::uint64_t));
-    auto* const bits = static_cast<std::uint64_t*>(self.mHaloMemory.data());
-    scratch.keepBits = bits;
-    scratch.hitBits = bits + bitWords;
-    auto* const floats = reinterpret_cast<float*>(bits + 2 * bitWords);
-    float** const arrays[7] = {&scratch.x,     &scratch.y,     &scratch.z,    &scratch.keptX,
-                               &scratch.keptY, &scratch.keptZ, &scratch.keptW};
-    for (int k = 0; k < 7; ++k) *arrays[k] = floats + k * stride;
-    scratch.number = reinterpret_cast<std::uint32_t*>(floats + 7 * stride);
-    scratch.keptNumber = reinterpret_cast<std::uint32_t*>(floats + 8 * stride);
+    self.mHaloMemory = PageBlock(10 * scratch.stride);
+    scratch.base = static_cast<char*>(self.mHaloMemory.data());
     scratch.capacity = capacity;
 }
 
@@ -100,12 +104,14 @@ void ThreadState::growRows(RowSink& sink, std::size_t entries)
     auto& self = *static_cast<ThreadState*>(sink.owner);
     self.maskBytes += entries * sizeof(std::uint32_t); // mask tasks ask once, for what they need
     if (static_cast<std::size_t>(sink.end - sink.out) >= entries) return;
+    self.finishRows();
     std::size_t bytes = 0;
     sink.out = static_cast<std::uint32_t*>(self.pool->take(entries * sizeof(std::uint32_t), bytes));
     sink.end = sink.out + bytes / sizeof(std::uint32_t);
 }
 
-void ThreadState::beginVisit(const SparseGridData& grid, const NeighborVisitor& visitor, const SearchTask& task)
+void ThreadState::beginVisit(const SparseGridData& grid, const NeighborVisitor& visitor,
+                             const SearchTask& task)
 {
     mVisitGrid = &grid;
     mVisitor = &visitor;

@@ -46,6 +46,8 @@ struct ThreadState {
 
     // Forgets the last search but for its memory.
     void begin();
+    // Puts the entries that streamed rows still hold back where they belong.
+    void finishRows();
     BandJudge judge();
 
     // Rows of the coming task go to `visitor` instead of into lists.

@@ -1,6 +1,8 @@
 // See cell_map.h.
 #include "grid/cell_map.h"
 
+#include <Eigen/Dense>
+
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -8,8 +10,11 @@
 
 namespace vdb_nns {
 
-CellMap::CellMap(const ParticleSource& source, double radius, int reach)
-    : reference(source.reference()), mRadius(radius), mIsArray(source.isArray())
+CellMap::CellMap(const ParticleSource& source, double radius, int reach, SimdLevel simd)
+    : reference(source.reference()),
+      mRadius(radius),
+      mIsArray(source.isArray()),
+      mLocateAxis(kernelsFor(simd).locateAxis)
 {
     // Where the reciprocal would leave the normal numbers, cells are wider than they need be, which is always correct.
     cellsPerUnit = radius > 1e300    ? std::ldexp(1.0, -1025)
@@ -18,37 +23,57 @@ CellMap::CellMap(const ParticleSource& source, double radius, int reach)
     for (int k = 0; k < 3; ++k) {
         for (int c = 0; c < 3; ++c) mMatrix[k][c] = source.linear()[k][c] * cellsPerUnit;
     }
+    using RowMajor = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+    const Eigen::Map<const RowMajor> linear(source.linear()[0].data());
+    Eigen::Map<RowMajor>(mSpread[0].data()) = linear.cwiseAbs() * linear.inverse().cwiseAbs();
 }
 
-void CellMap::toCells(const double* cx, const double* cy, const double* cz, std::size_t count, double* tx, double* ty,
-                      double* tz) const
+bool CellMap::locate(const double (*stored)[kBatch], std::size_t count, Located& out) const
 {
-    const double* const in[3] = {cx, cy, cz};
-    double* const out[3] = {tx, ty, tz};
+    bool inside = true;
     for (int k = 0; k < 3; ++k) {
+        double t[kBatch];
         if (mIsArray) {
-            for (std::size_t i = 0; i < count; ++i) out[k][i] = in[k][i] * cellsPerUnit;
+            for (std::size_t i = 0; i < count; ++i) t[i] = stored[k][i] * cellsPerUnit;
         } else {
-            const double m0 = mMatrix[k][0], m1 = mMatrix[k][1], m2 = mMatrix[k][2];
-            for (std::size_t i = 0; i < count; ++i) out[k][i] = m0 * cx[i] + m1 * cy[i] + m2 * cz[i];
+            for (std::size_t i = 0; i < count; ++i) t[i] = cell(k, stored[0][i], stored[1][i], stored[2][i]);
         }
+        inside &= mLocateAxis(t, count, kLimit, out.leaf[k], out.local[k]);
     }
+    return inside;
 }
 
-double CellMap::errorCells(const double most[3]) const
+bool CellMap::inRange(double cx, double cy, double cz) const
+{
+    const double stored[3] = {cx, cy, cz};
+    for (int k = 0; k < 3; ++k) {
+        const double t = mIsArray ? stored[k] * cellsPerUnit : cell(k, cx, cy, cz);
+        if (!(std::fabs(t) < kLimit)) return false;
+    }
+    return true;
+}
+
+double CellMap::errorCells(const double mostCells[3]) const
 {
     double worst = 0;
     for (int k = 0; k < 3; ++k) {
         double sum = 0;
-        for (int c = 0; c < 3; ++c) sum += most[c] == 0 ? 0 : std::fabs(mMatrix[k][c]) * most[c];
+        for (int c = 0; c < 3; ++c) sum += mSpread[k][c] == 0 ? 0 : mSpread[k][c] * mostCells[c];
         worst = std::max(worst, sum);
     }
-    return 6 * 0x1p-53 * worst;
+    return 7 * 0x1p-53 * worst;
 }
 
-InputError CellMap::rangeError(const double most[3]) const
+InputError CellMap::rangeError(const ParticleSource& source) const
 {
-    const double extentCells = errorCells(most) / (6 * 0x1p-53);
+    const Bounds bounds = boundsOf(source, reference);
+    double extentCells = 0;
+    for (int corner = 0; corner < 8; ++corner) {
+        const double c[3] = {(corner & 1 ? bounds.high : bounds.low)[0],
+                             (corner & 2 ? bounds.high : bounds.low)[1],
+                             (corner & 4 ? bounds.high : bounds.low)[2]};
+        for (int k = 0; k < 3; ++k) extentCells = std::max(extentCells, std::fabs(cell(k, c[0], c[1], c[2])));
+    }
     std::ostringstream text;
     text.precision(9);
     text << "the particles reach " << extentCells << " cells from the middle (" << extentCells / cellsPerUnit
@@ -58,25 +83,25 @@ InputError CellMap::rangeError(const double most[3]) const
     return InputError(text.str());
 }
 
-Vec3d middleOf(const ParticleSource& source)
+Bounds boundsOf(const ParticleSource& source, const Vec3d& reference)
 {
-    constexpr std::size_t kBatch = 512;
+    constexpr std::size_t kBatch = CellMap::kBatch;
     constexpr double inf = std::numeric_limits<double>::infinity();
-    double low[3] = {inf, inf, inf}, high[3] = {-inf, -inf, -inf}, c[3][kBatch];
+    Bounds bounds{{inf, inf, inf}, {-inf, -inf, -inf}};
+    double c[3][kBatch];
     for (std::size_t begin = 0; begin < source.size(); begin += kBatch) {
         const std::size_t n = std::min(kBatch, source.size() - begin);
-        source.read(begin, n, Vec3d{}, c[0], c[1], c[2]);
+        source.read(begin, n, reference, c[0], c[1], c[2]);
         for (std::size_t i = 0; i < n; ++i) {
             if (!std::isfinite(c[0][i]) || !std::isfinite(c[1][i]) || !std::isfinite(c[2][i])) continue;
             for (int k = 0; k < 3; ++k) {
-                low[k] = std::min(low[k], c[k][i]);
-                high[k] = std::max(high[k], c[k][i]);
+                bounds.low[k] = std::min(bounds.low[k], c[k][i]);
+                bounds.high[k] = std::max(bounds.high[k], c[k][i]);
             }
         }
     }
-    Vec3d middle{};
-    for (int k = 0; k < 3; ++k) middle[k] = low[k] <= high[k] ? low[k] / 2 + high[k] / 2 : 0;
-    return middle;
+    if (bounds.low[0] > bounds.high[0]) bounds = {};
+    return bounds;
 }
 
 } // namespace vdb_nns

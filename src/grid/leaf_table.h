@@ -12,13 +12,20 @@ namespace vdb_nns {
 
 class LeafTable {
 public:
-    // Counts one particle in the leaf at (x, y, z), in units of leaves, and returns the leaf's number in this table.
-    std::uint32_t countIn(std::int32_t x, std::int32_t y, std::int32_t z)
+    // The number in this table of the leaf at (x, y, z), in units of leaves.
+    std::uint32_t numberOf(std::int32_t x, std::int32_t y, std::int32_t z)
     {
-        if (x != mLast[0] || y != mLast[1] || z != mLast[2] || mLeaves.empty()) find(x, y, z);
-        ++mCounts[mLastNumber];
-        return mLastNumber;
+        if (2 * (mLeaves.size() + 1) > mTable.size()) grow();
+        Entry& entry = place(x, y, z);
+        if (entry.number == kFree) {
+            entry = {x, y, z, size()};
+            mLeaves.push_back({x, y, z});
+            mCounts.push_back(0);
+        }
+        return entry.number;
     }
+
+    void add(std::uint32_t number, std::uint32_t particles) { mCounts[number] += particles; }
 
     std::uint32_t size() const { return static_cast<std::uint32_t>(mLeaves.size()); }
     const Vec3i& leaf(std::uint32_t i) const { return mLeaves[i]; }
@@ -35,21 +42,9 @@ private:
     static std::uint64_t hash(std::int32_t x, std::int32_t y, std::int32_t z)
     {
         // Odd multipliers from the golden ratio and its powers; the high bits of the sum are well mixed.
-        return static_cast<std::uint64_t>(x) * 0x9E3779B97F4A7C15u + static_cast<std::uint64_t>(y) * 0xC2B2AE3D27D4EB4Fu +
+        return static_cast<std::uint64_t>(x) * 0x9E3779B97F4A7C15u +
+               static_cast<std::uint64_t>(y) * 0xC2B2AE3D27D4EB4Fu +
                static_cast<std::uint64_t>(z) * 0x165667B19E3779F9u;
-    }
-
-    void find(std::int32_t x, std::int32_t y, std::int32_t z)
-    {
-        if (2 * (mLeaves.size() + 1) > mTable.size()) grow();
-        Entry& entry = place(x, y, z);
-        if (entry.number == kFree) {
-            entry = {x, y, z, size()};
-            mLeaves.push_back({x, y, z});
-            mCounts.push_back(0);
-        }
-        mLast = {x, y, z};
-        mLastNumber = entry.number;
     }
 
     Entry& place(std::int32_t x, std::int32_t y, std::int32_t z)
@@ -65,15 +60,14 @@ private:
     {
         mTable.assign(std::max<std::size_t>(256, mTable.size() * 4), Entry{0, 0, 0, kFree});
         for (std::uint32_t i = 0; i < size(); ++i) {
-            place(mLeaves[i][0], mLeaves[i][1], mLeaves[i][2]) = {mLeaves[i][0], mLeaves[i][1], mLeaves[i][2], i};
+            place(mLeaves[i][0], mLeaves[i][1], mLeaves[i][2]) = {mLeaves[i][0], mLeaves[i][1], mLeaves[i][2],
+                                                                  i};
         }
     }
 
     std::vector<Entry> mTable; // open addressing, a power of two
     std::vector<Vec3i> mLeaves;
     std::vector<std::uint32_t> mCounts;
-    Vec3i mLast{};
-    std::uint32_t mLastNumber = 0;
 };
 
 // Orders leaves by 4096^3 node, then in Morton order inside it (512^3 leaves, 9 bits an axis).
@@ -96,8 +90,10 @@ public:
     std::uint64_t key(const Vec3i& leaf) const
     {
         const Vec3i root = rootOf(leaf);
-        const auto index = mRoots.size() == 1 ? 0 : std::lower_bound(mRoots.begin(), mRoots.end(), root) - mRoots.begin();
-        return static_cast<std::uint64_t>(index) << 27 | spread(leaf[0]) << 2 | spread(leaf[1]) << 1 | spread(leaf[2]);
+        const auto index =
+            mRoots.size() == 1 ? 0 : std::lower_bound(mRoots.begin(), mRoots.end(), root) - mRoots.begin();
+        return static_cast<std::uint64_t>(index) << 27 | spread(leaf[0]) << 2 | spread(leaf[1]) << 1 |
+               spread(leaf[2]);
     }
 
 private:

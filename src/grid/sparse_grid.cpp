@@ -28,15 +28,15 @@ namespace vdb_nns {
 
 namespace {
 
-constexpr std::size_t kBatch = 512;           // particles read at once: 24 KB of coordinates, inside L1
-constexpr std::size_t kSmallestChunk = 32768; // below, a chunk's table of leaves costs more than the parallelism gains
+constexpr std::size_t kBatch = CellMap::kBatch;
+constexpr std::size_t kSmallestChunk =
+    32768; // below, a chunk's table of leaves costs more than the parallelism gains
 
 struct Chunk {
     std::size_t begin = 0, end = 0;
     LeafTable leaves;
     std::vector<std::uint32_t> cursor; // by local leaf: next slot to write
     std::uint64_t nonfinite = 0;
-    double most[3] = {0, 0, 0};        // largest |stored coordinate - reference|
     bool outOfRange = false;
 };
 
@@ -52,34 +52,49 @@ std::vector<Chunk> makeChunks(std::size_t count)
     return result;
 }
 
+// Of a batch with particles out of range: counts the non-finite ones, notes whether there are others.
+void sortOut(const CellMap& map, const double (*stored)[kBatch], std::size_t count, Chunk& chunk)
+{
+    for (std::size_t i = 0; i < count; ++i) {
+        const double x = stored[0][i], y = stored[1][i], z = stored[2][i];
+        if (map.inRange(x, y, z)) continue;
+        if (std::isfinite(x) && std::isfinite(y) && std::isfinite(z)) {
+            chunk.outOfRange = true;
+        } else {
+            ++chunk.nonfinite;
+        }
+    }
+}
+
 void locateChunk(const ParticleSource& source, const CellMap& map, Chunk& chunk, std::uint32_t* leafOf,
                  const CancelCheck& cancel)
 {
-    double stored[3][kBatch], t[3][kBatch];
+    double stored[3][kBatch];
+    CellMap::Located at;
     for (std::size_t begin = chunk.begin; begin < chunk.end; begin += kBatch) {
-        if (begin % (kBatch * 64) == 0) cancel.check();
+        if (begin / kBatch % 64 == 0) cancel.check();
         const std::size_t n = std::min(kBatch, chunk.end - begin);
         source.read(begin, n, map.reference, stored[0], stored[1], stored[2]);
-        map.toCells(stored[0], stored[1], stored[2], n, t[0], t[1], t[2]);
-        for (std::size_t i = 0; i < n; ++i) {
-            const double tx = t[0][i], ty = t[1][i], tz = t[2][i];
-            if (CellMap::inRange(tx) && CellMap::inRange(ty) && CellMap::inRange(tz)) {
-                leafOf[begin + i] = chunk.leaves.countIn(floorToInt(tx) >> 3, floorToInt(ty) >> 3, floorToInt(tz) >> 3);
-            } else {
-                leafOf[begin + i] = kNoLeaf;
-                const bool finite = std::isfinite(stored[0][i]) && std::isfinite(stored[1][i]) && std::isfinite(stored[2][i]);
-                chunk.outOfRange |= finite;
-                chunk.nonfinite += !finite;
-                for (int k = 0; k < 3; ++k) {
-                    if (!finite) stored[k][i] = 0; // leaves `most` alone
-                }
+        const bool allInRange = map.locate(stored, n, at);
+        const auto valid = [&](std::size_t i) {
+            return allInRange || map.inRange(stored[0][i], stored[1][i], stored[2][i]);
+        };
+        std::uint32_t number = kNoLeaf;
+        for (std::size_t i = 0; i < n;) {
+            // Neighbors in the input are often neighbors in space: a run in one leaf costs one look-up.
+            const std::int32_t x = at.leaf[0][i], y = at.leaf[1][i], z = at.leaf[2][i];
+            if (!valid(i)) {
+                leafOf[begin + i++] = kNoLeaf;
+                continue;
             }
+            number = chunk.leaves.numberOf(x, y, z);
+            const std::size_t first = i;
+            do {
+                leafOf[begin + i++] = number;
+            } while (i < n && at.leaf[0][i] == x && at.leaf[1][i] == y && at.leaf[2][i] == z && valid(i));
+            chunk.leaves.add(number, static_cast<std::uint32_t>(i - first));
         }
-        for (int k = 0; k < 3; ++k) {
-            double most = chunk.most[k];
-            for (std::size_t i = 0; i < n; ++i) most = std::max(most, std::fabs(stored[k][i]));
-            chunk.most[k] = most;
-        }
+        if (!allInRange) sortOut(map, stored, n, chunk);
     }
 }
 
@@ -99,7 +114,8 @@ void mergeLeaves(std::vector<Chunk>& chunks, SparseGridData& grid)
     std::vector<Entry> entries;
     for (std::uint32_t c = 0; c < chunks.size(); ++c) {
         const LeafTable& leaves = chunks[c].leaves;
-        for (std::uint32_t l = 0; l < leaves.size(); ++l) entries.push_back({roots.key(leaves.leaf(l)), c, l});
+        for (std::uint32_t l = 0; l < leaves.size(); ++l)
+            entries.push_back({roots.key(leaves.leaf(l)), c, l});
         chunks[c].cursor.resize(leaves.size());
     }
     tbb::parallel_sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) {
@@ -124,39 +140,38 @@ void mergeLeaves(std::vector<Chunk>& chunks, SparseGridData& grid)
 void scatterChunk(const ParticleSource& source, const CellMap& map, Chunk& chunk, const std::uint32_t* leafOf,
                   GridScratch::Record* records, const CancelCheck& cancel)
 {
-    double stored[3][kBatch], t[3][kBatch];
+    double stored[3][kBatch];
+    CellMap::Located at;
+    std::uint32_t* const cursor = chunk.cursor.data();
     for (std::size_t begin = chunk.begin; begin < chunk.end; begin += kBatch) {
-        if (begin % (kBatch * 64) == 0) cancel.check();
+        if (begin / kBatch % 64 == 0) cancel.check();
         const std::size_t n = std::min(kBatch, chunk.end - begin);
         source.read(begin, n, map.reference, stored[0], stored[1], stored[2]);
-        map.toCells(stored[0], stored[1], stored[2], n, t[0], t[1], t[2]);
+        map.locate(stored, n, at);
         for (std::size_t i = 0; i < n; ++i) {
             const std::uint32_t leaf = leafOf[begin + i];
             if (leaf == kNoLeaf) continue;
-            GridScratch::Record& record = records[chunk.cursor[leaf]++];
-            record = {leafLocal(t[0][i]), leafLocal(t[1][i]), leafLocal(t[2][i]), static_cast<std::uint32_t>(begin + i)};
+            records[cursor[leaf]++] = {at.local[0][i], at.local[1][i], at.local[2][i],
+                                       static_cast<std::uint32_t>(begin + i)};
         }
     }
 }
 
 // Sorts the particles of one leaf by cell, stably. Writes the start of each occupied cell to starts[0..] and the
 // occupancy mask; returns the number of occupied cells.
-std::uint32_t sortLeaf(const GridScratch::Record* records, std::uint32_t begin, std::uint32_t end, SparseGridData& grid,
-                       std::uint64_t* occupancy, std::uint32_t* starts, std::vector<std::uint16_t>& cellOf)
+std::uint32_t sortLeaf(const GridScratch::Record* records, std::uint32_t begin, std::uint32_t end,
+                       SparseGridData& grid, std::uint64_t* occupancy, std::uint32_t* starts,
+                       std::vector<std::uint16_t>& cellOf)
 {
     const std::uint32_t n = end - begin;
     if (cellOf.size() < n) cellOf.resize(n);
     std::uint64_t mask[8] = {};
-    std::uint32_t next[512];
+    std::uint32_t next[512] = {};
     for (std::uint32_t i = 0; i < n; ++i) {
         const GridScratch::Record& r = records[begin + i];
-        const unsigned cell = cellInLeaf(r.x) << 6 | cellInLeaf(r.y) << 3 | cellInLeaf(r.z);
+        const unsigned x = cellInLeaf(r.x), yz = cellInLeaf(r.y) << 3 | cellInLeaf(r.z), cell = x << 6 | yz;
         cellOf[i] = static_cast<std::uint16_t>(cell);
-        const std::uint64_t bit = std::uint64_t(1) << (cell & 63);
-        if (!(mask[cell >> 6] & bit)) {
-            mask[cell >> 6] |= bit;
-            next[cell] = 0;
-        }
+        mask[x] |= std::uint64_t(1) << yz;
         ++next[cell];
     }
     std::uint32_t cells = 0, slot = begin;
@@ -164,18 +179,19 @@ std::uint32_t sortLeaf(const GridScratch::Record* records, std::uint32_t begin, 
         occupancy[w] = mask[w];
         for (std::uint64_t m = mask[w]; m; m &= m - 1) {
             std::uint32_t& cell = next[w * 64 + __builtin_ctzll(m)];
-            const std::uint32_t count = cell;
-            cell = starts[cells++] = slot;
-            slot += count;
+            starts[cells++] = slot;
+            slot += std::exchange(cell, slot);
         }
     }
+    float *const x = grid.x.data(), *const y = grid.y.data(), *const z = grid.z.data();
+    std::uint32_t* const number = grid.number.data();
     for (std::uint32_t i = 0; i < n; ++i) {
-        const GridScratch::Record& r = records[begin + i];
+        const GridScratch::Record r = records[begin + i];
         const std::uint32_t to = next[cellOf[i]]++;
-        grid.x[to] = r.x;
-        grid.y[to] = r.y;
-        grid.z[to] = r.z;
-        grid.number[to] = r.number;
+        x[to] = r.x;
+        y[to] = r.y;
+        z[to] = r.z;
+        number[to] = r.number;
     }
     return cells;
 }
@@ -193,8 +209,8 @@ void sortCells(GridScratch& scratch, SparseGridData& grid, const CancelCheck& ca
             LeafRecord& leaf = grid.leaves[l];
             std::uint64_t* const occupancy = grid.topology.occupancy(l);
             leaf.occupancy = occupancy;
-            leaf.firstCell = sortLeaf(scratch.records.data(), leaf.firstSlot, grid.leaves[l + 1].firstSlot, grid,
-                                      occupancy, starts + leaf.firstSlot, cellOf);
+            leaf.firstCell = sortLeaf(scratch.records.data(), leaf.firstSlot, grid.leaves[l + 1].firstSlot,
+                                      grid, occupancy, starts + leaf.firstSlot, cellOf);
         }
     });
     std::uint32_t cells = 0;
@@ -212,12 +228,11 @@ void sortCells(GridScratch& scratch, SparseGridData& grid, const CancelCheck& ca
 
 struct Located {
     std::uint64_t nonfinite = 0;
-    double most[3] = {0, 0, 0};
     bool outOfRange = false;
 };
 
-Located locate(const ParticleSource& source, const CellMap& map, std::vector<Chunk>& chunks, std::uint32_t* leafOf,
-               const CancelCheck& cancel)
+Located locate(const ParticleSource& source, const CellMap& map, std::vector<Chunk>& chunks,
+               std::uint32_t* leafOf, const CancelCheck& cancel)
 {
     tbb::parallel_for(std::size_t(0), chunks.size(),
                       [&](std::size_t c) { locateChunk(source, map, chunks[c], leafOf, cancel); });
@@ -225,43 +240,53 @@ Located locate(const ParticleSource& source, const CellMap& map, std::vector<Chu
     for (const Chunk& chunk : chunks) {
         all.nonfinite += chunk.nonfinite;
         all.outOfRange |= chunk.outOfRange;
-        for (int k = 0; k < 3; ++k) all.most[k] = std::max(all.most[k], chunk.most[k]);
     }
-    all.outOfRange |= !(map.errorCells(all.most) <= CellMap::kMaxErrorCells);
     return all;
+}
+
+// Bound on the error of cell coordinates, from the extent of the leaves.
+double coordinateErrorOf(const CellMap& map, const std::vector<Vec3i>& leafOrigins)
+{
+    double most[3] = {0, 0, 0};
+    for (const Vec3i& origin : leafOrigins) {
+        for (int k = 0; k < 3; ++k) most[k] = std::max(most[k], std::fabs(origin[k] + 4.0) + 4);
+    }
+    return map.errorCells(most);
 }
 
 } // namespace
 
-void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options, GridScratch& scratch,
-                     SparseGridData& grid)
+void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options,
+                     GridScratch& scratch, SparseGridData& grid)
 {
     const ParticleSource& source = view.source();
     const CancelCheck cancel(options.progress, "grid");
-    CellMap map(source, radius, options.reach);
+    CellMap map(source, radius, options.reach, options.simd);
     std::vector<Chunk> chunks = makeChunks(source.size());
     scratch.leafOf.resizeDiscarding(source.size());
     Located located = locate(source, map, chunks, scratch.leafOf.data(), cancel);
     if (located.outOfRange && source.isArray()) {
         // Far from the origin: count cells from the middle of the particles instead, and try once more.
-        map.reference = middleOf(source);
+        const Bounds bounds = boundsOf(source, Vec3d{});
+        for (int k = 0; k < 3; ++k) map.reference[k] = bounds.low[k] / 2 + bounds.high[k] / 2;
         chunks = makeChunks(source.size());
         located = locate(source, map, chunks, scratch.leafOf.data(), cancel);
     }
-    if (located.outOfRange) throw map.rangeError(located.most);
+    if (located.outOfRange) throw map.rangeError(source);
     if (located.nonfinite > 0 && options.nonfinite == NonFinite::kFail) {
         throw InputError(std::to_string(located.nonfinite) + " of " + std::to_string(source.size()) +
                          " particles have a position that is NaN or infinite: repair them or skip them");
     }
     cancel.update(0.3);
+    mergeLeaves(chunks, grid);
     grid.view = view;
     grid.radius = radius;
     grid.reach = options.reach;
     grid.cellsPerUnit = map.cellsPerUnit;
     grid.radiusCells = radius * map.cellsPerUnit;
-    grid.coordinateError = map.errorCells(located.most);
+    grid.coordinateError = coordinateErrorOf(map, grid.leafOrigins);
+    if (!(grid.coordinateError <= CellMap::kMaxErrorCells)) throw map.rangeError(source);
     grid.nonfiniteCount = located.nonfinite;
-    mergeLeaves(chunks, grid);
     const std::size_t particles = grid.leaves.back().firstSlot;
     scratch.records.resizeDiscarding(particles);
     tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t c) {
@@ -282,20 +307,50 @@ std::uint64_t SparseGridData::bytes() const
 
 SparseGrid::SparseGrid(std::shared_ptr<const SparseGridData> data) : mData(std::move(data)) {}
 
-double SparseGrid::radius() const { return mData->radius; }
-int SparseGrid::reach() const { return mData->reach; }
-double SparseGrid::cellSize() const { return 1 / mData->cellsPerUnit; }
-std::uint64_t SparseGrid::particleCount() const { return mData ? mData->particleCount() : 0; }
-std::uint64_t SparseGrid::nonfiniteCount() const { return mData->nonfiniteCount; }
-std::uint64_t SparseGrid::leafCount() const { return mData->leafCount(); }
-std::uint64_t SparseGrid::cellCount() const { return mData->leaves.back().firstCell; }
-std::uint64_t SparseGrid::bytes() const { return mData->bytes(); }
-const ParticleView& SparseGrid::view() const { return mData->view; }
+double SparseGrid::radius() const
+{
+    return mData->radius;
+}
+int SparseGrid::reach() const
+{
+    return mData->reach;
+}
+double SparseGrid::cellSize() const
+{
+    return 1 / mData->cellsPerUnit;
+}
+std::uint64_t SparseGrid::particleCount() const
+{
+    return mData ? mData->particleCount() : 0;
+}
+std::uint64_t SparseGrid::nonfiniteCount() const
+{
+    return mData->nonfiniteCount;
+}
+std::uint64_t SparseGrid::leafCount() const
+{
+    return mData->leafCount();
+}
+std::uint64_t SparseGrid::cellCount() const
+{
+    return mData->leaves.back().firstCell;
+}
+std::uint64_t SparseGrid::bytes() const
+{
+    return mData->bytes();
+}
+const ParticleView& SparseGrid::view() const
+{
+    return mData->view;
+}
 
 SparseGrid::Leaf SparseGrid::leaf(std::uint64_t index) const
 {
     const LeafRecord& record = mData->leaves[index];
-    Leaf leaf{mData->leafOrigins[index], {}, record.firstSlot, mData->leaves[index + 1].firstSlot - record.firstSlot,
+    Leaf leaf{mData->leafOrigins[index],
+              {},
+              record.firstSlot,
+              mData->leaves[index + 1].firstSlot - record.firstSlot,
               record.firstCell};
     std::copy_n(record.occupancy, 8, leaf.occupancy);
     return leaf;

@@ -14,20 +14,21 @@ namespace vdb_nns {
 
 struct SparseGridData {
     ParticleView view;
-    double radius = 0;        // world
-    int reach = 1;            // cells
-    double cellsPerUnit = 0;  // 1 / cell edge; the edge is defined as its real reciprocal
-    double radiusCells = 0;   // radius * cellsPerUnit
-    double coordinateError = 0; // bound, in cells, on computed minus true cell coordinates, before rounding to float
+    double radius = 0;       // world
+    int reach = 1;           // cells
+    double cellsPerUnit = 0; // 1 / cell edge; the edge is defined as its real reciprocal
+    double radiusCells = 0;  // radius * cellsPerUnit
+    double coordinateError =
+        0; // bound, in cells, on computed minus true cell coordinates, before rounding to float
     std::uint64_t nonfiniteCount = 0;
 
     // By slot: position about the leaf's centre in cells, |.| <= 4, and the particle's number.
     PageArray<float> x, y, z;
     PageArray<std::uint32_t> number;
 
-    std::vector<Vec3i> leafOrigins;        // cell coordinates
-    std::vector<LeafRecord> leaves;        // one more than leaves: the end
-    PageArray<std::uint32_t> cellStart;    // first slot of each occupied cell; one more: the end
+    std::vector<Vec3i> leafOrigins;     // cell coordinates
+    std::vector<LeafRecord> leaves;     // one more than leaves: the end
+    PageArray<std::uint32_t> cellStart; // first slot of each occupied cell; one more: the end
     Topology topology;
 
     std::size_t leafCount() const { return leafOrigins.size(); }
@@ -46,7 +47,7 @@ struct GridScratch {
 };
 
 // Sorts the particles of `view` into `grid`, whose memory is reused. Throws as SearchEngine::buildGrid().
-void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options, GridScratch& scratch,
-                     SparseGridData& grid);
+void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options,
+                     GridScratch& scratch, SparseGridData& grid);
 
 } // namespace vdb_nns

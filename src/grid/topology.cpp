@@ -19,7 +19,10 @@ using Upper = Tree::RootNodeType::ChildNodeType; // 4096^3 cells
 using Lower = Upper::ChildNodeType;              // 128^3 cells
 using Leaf = Tree::LeafNodeType;                 // 8^3 cells
 
-openvdb::Coord coordOf(const Vec3i& v) { return {v[0], v[1], v[2]}; }
+openvdb::Coord coordOf(const Vec3i& v)
+{
+    return {v[0], v[1], v[2]};
+}
 
 openvdb::Coord originOf(const Vec3i& v, int log2Dim)
 {
@@ -76,7 +79,8 @@ void Topology::build(Span<const Vec3i> origins)
 
 std::uint64_t* Topology::occupancy(std::size_t i)
 {
-    static_assert(sizeof(Leaf::Buffer::WordType) == sizeof(std::uint64_t), "one word is one x slab of 64 cells");
+    static_assert(sizeof(Leaf::Buffer::WordType) == sizeof(std::uint64_t),
+                  "one word is one x slab of 64 cells");
     return reinterpret_cast<std::uint64_t*>(mTree->leaves[i]->buffer().data());
 }
 
@@ -97,8 +101,14 @@ void Topology::neighborhoods(Span<const Vec3i> origins, LeafNeighborhood* out) c
     }
 }
 
-std::uint64_t Topology::bytes() const { return mTree->tree.memUsage() + mTree->leaves.size() * sizeof(Leaf*); }
+std::uint64_t Topology::bytes() const
+{
+    return mTree->tree.memUsage() + mTree->leaves.size() * sizeof(Leaf*);
+}
 
-const openvdb::MaskTree& topologyOf(const SparseGrid& grid) { return grid.data().topology.tree().tree; }
+const openvdb::MaskTree& topologyOf(const SparseGrid& grid)
+{
+    return grid.data().topology.tree().tree;
+}
 
 } // namespace vdb_nns

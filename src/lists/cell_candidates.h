@@ -10,7 +10,8 @@ namespace vdb_nns {
 // Calls f(first slot, end slot) for each run of candidates of the cell (x, y, z), 0 to 7, of the leaf that `neighborhood`
 // surrounds: (dx, dy) lexicographic, z ascending.
 template <typename F>
-void forEachCandidateRun(const BlockView& block, const LeafNeighborhood& neighborhood, int x, int y, int z, F&& f)
+void forEachCandidateRun(const BlockView& block, const LeafNeighborhood& neighborhood, int x, int y, int z,
+                         F&& f)
 {
     const int reach = block.reach;
     for (int cx = x - reach; cx <= x + reach; ++cx) {
@@ -31,7 +32,8 @@ void forEachCandidateRun(const BlockView& block, const LeafNeighborhood& neighbo
                 for (int w = 0; w < (cx & 7); ++w) {
                     cell += static_cast<std::uint32_t>(__builtin_popcountll(leaf.occupancy[w]));
                 }
-                cell += static_cast<std::uint32_t>(__builtin_popcountll(word & ((std::uint64_t(1) << low) - 1)));
+                cell +=
+                    static_cast<std::uint32_t>(__builtin_popcountll(word & ((std::uint64_t(1) << low) - 1)));
                 f(block.cellStart[cell], block.cellStart[cell + __builtin_popcountll(bits)]);
             }
         }

@@ -27,7 +27,8 @@ void requireLists(const NeighborListsData& lists)
 using Runs = std::vector<std::pair<std::uint32_t, std::uint32_t>>;
 
 template <typename F>
-void forEachCell(const SparseGridData& grid, const LeafNeighborhood& neighborhood, std::size_t leafIndex, F&& f)
+void forEachCell(const SparseGridData& grid, const LeafNeighborhood& neighborhood, std::size_t leafIndex,
+                 F&& f)
 {
     const BlockView block = blockViewOf(grid);
     const LeafRecord& leaf = grid.leaves[leafIndex];
@@ -38,7 +39,9 @@ void forEachCell(const SparseGridData& grid, const LeafNeighborhood& neighborhoo
             const int bit = __builtin_ctzll(word);
             runs.clear();
             forEachCandidateRun(block, neighborhood, x, bit >> 3, bit & 7,
-                                [&](std::uint32_t begin, std::uint32_t end) { runs.push_back({begin, end}); });
+                                [&](std::uint32_t begin, std::uint32_t end) {
+                                    runs.push_back({begin, end});
+                                });
             f(grid.cellStart[cell], grid.cellStart[cell + 1], runs);
         }
     }
@@ -73,8 +76,9 @@ void decodeRow(const SparseGridData& grid, const Runs& runs, const std::uint32_t
 
 const MaskRun& runOf(const std::vector<MaskRun>& runs, std::uint32_t slot)
 {
-    return *std::prev(std::upper_bound(runs.begin(), runs.end(), slot,
-                                       [](std::uint32_t s, const MaskRun& run) { return s < run.firstSlot; }));
+    return *std::prev(
+        std::upper_bound(runs.begin(), runs.end(), slot,
+                         [](std::uint32_t s, const MaskRun& run) { return s < run.firstSlot; }));
 }
 
 // Hands out each cell's rows, cut where a task of the search ended: f(first slot, end slot, runs, words of a row,
@@ -84,7 +88,8 @@ void forEachMaskCell(const NeighborListsData& lists, std::size_t firstLeaf, std:
 {
     const SparseGridData& grid = lists.grid.data();
     std::vector<LeafNeighborhood> neighborhoods(endLeaf - firstLeaf);
-    grid.topology.neighborhoods({grid.leafOrigins.data() + firstLeaf, endLeaf - firstLeaf}, neighborhoods.data());
+    grid.topology.neighborhoods({grid.leafOrigins.data() + firstLeaf, endLeaf - firstLeaf},
+                                neighborhoods.data());
     auto run = &runOf(lists.maskRuns, grid.leaves[firstLeaf].firstSlot);
     const std::uint32_t* words = run->words;
     const MaskRun* const last = &lists.maskRuns.back();
@@ -109,18 +114,20 @@ void makeDirectory(const NeighborListsData& lists)
     const std::size_t leaves = lists.grid.leafCount();
     std::vector<MaskRun>& directory = lists.directory;
     if (leaves == 0) return;
-    forEachMaskCell(lists, 0, leaves,
-                    [&](std::uint32_t begin, std::uint32_t, const Runs&, std::uint32_t, const std::uint32_t* words) {
-                        directory.push_back({begin, words});
-                    });
+    forEachMaskCell(
+        lists, 0, leaves,
+        [&](std::uint32_t begin, std::uint32_t, const Runs&, std::uint32_t, const std::uint32_t* words) {
+            directory.push_back({begin, words});
+        });
 }
 
 // Finds the cell of a slot: its leaf, then its place in it.
 void decodeSlot(const NeighborListsData& lists, std::uint32_t slot, std::vector<std::uint32_t>& out)
 {
     const SparseGridData& grid = lists.grid.data();
-    const auto next = std::upper_bound(grid.leaves.begin(), grid.leaves.end(), slot,
-                                       [](std::uint32_t s, const LeafRecord& leaf) { return s < leaf.firstSlot; });
+    const auto next =
+        std::upper_bound(grid.leaves.begin(), grid.leaves.end(), slot,
+                         [](std::uint32_t s, const LeafRecord& leaf) { return s < leaf.firstSlot; });
     const std::size_t leafIndex = static_cast<std::size_t>(next - grid.leaves.begin()) - 1;
     const LeafRecord& leaf = grid.leaves[leafIndex];
     const std::uint32_t* const cells = grid.cellStart.data() + leaf.firstCell;
@@ -137,7 +144,9 @@ void decodeSlot(const NeighborListsData& lists, std::uint32_t slot, std::vector<
     const int bit = __builtin_ctzll(word);
     Runs runs;
     forEachCandidateRun(blockViewOf(grid), neighborhood, x, bit >> 3, bit & 7,
-                        [&](std::uint32_t begin, std::uint32_t end) { runs.push_back({begin, end}); });
+                        [&](std::uint32_t begin, std::uint32_t end) {
+                            runs.push_back({begin, end});
+                        });
     const MaskRun& row = runOf(lists.directory, slot);
     decodeRow(grid, runs, row.words + std::size_t(slot - row.firstSlot) * wordsOf(runs), out);
 }
@@ -154,12 +163,30 @@ std::uint64_t mix64(std::uint64_t x)
 NeighborLists::NeighborLists() : mData(std::make_shared<NeighborListsData>()) {}
 NeighborLists::NeighborLists(std::shared_ptr<const NeighborListsData> data) : mData(std::move(data)) {}
 
-std::size_t NeighborLists::size() const { return mData->slotOf.size(); }
-Encoding NeighborLists::encoding() const { return mData->encoding; }
-std::uint64_t NeighborLists::pairCount() const { return mData->statistics.pairs; }
-const ListStatistics& NeighborLists::statistics() const { return mData->statistics; }
-const ParticleView& NeighborLists::view() const { return mData->view; }
-const SparseGrid& NeighborLists::grid() const { return mData->grid; }
+std::size_t NeighborLists::size() const
+{
+    return mData->slotOf.size();
+}
+Encoding NeighborLists::encoding() const
+{
+    return mData->encoding;
+}
+std::uint64_t NeighborLists::pairCount() const
+{
+    return mData->statistics.pairs;
+}
+const ListStatistics& NeighborLists::statistics() const
+{
+    return mData->statistics;
+}
+const ParticleView& NeighborLists::view() const
+{
+    return mData->view;
+}
+const SparseGrid& NeighborLists::grid() const
+{
+    return mData->grid;
+}
 
 std::uint32_t NeighborLists::count(std::size_t i) const
 {
@@ -209,7 +236,8 @@ void NeighborLists::visitRows(const RowVisitor& visit) const
     const SparseGridData& grid = lists.grid.data();
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, grid.leafCount(), 4), [&](const auto& range) {
         if (lists.encoding == Encoding::kIndex) {
-            for (std::uint32_t s = grid.leaves[range.begin()].firstSlot; s < grid.leaves[range.end()].firstSlot; ++s) {
+            for (std::uint32_t s = grid.leaves[range.begin()].firstSlot;
+                 s < grid.leaves[range.end()].firstSlot; ++s) {
                 visit(grid.number[s], {lists.rowBegin[s], lists.rowCount[s]});
             }
             return;
@@ -257,8 +285,9 @@ std::uint64_t NeighborLists::checksum() const
 
 std::uint64_t NeighborLists::bytes() const
 {
-    return mData->rowBytes + mData->slotOf.usedBytes() + mData->rowCount.usedBytes() + mData->rowBegin.usedBytes() +
-           mData->maskRuns.size() * sizeof(MaskRun) + mData->directory.size() * sizeof(MaskRun);
+    return mData->rowBytes + mData->slotOf.usedBytes() + mData->rowCount.usedBytes() +
+           mData->rowBegin.usedBytes() + mData->maskRuns.size() * sizeof(MaskRun) +
+           mData->directory.size() * sizeof(MaskRun);
 }
 
 } // namespace vdb_nns

@@ -6,7 +6,8 @@ namespace vdb_nns {
 
 namespace {
 
-constexpr std::uint64_t kAlignment = 64; // of every array: a cache line, and all that np.memmap and SIMD ask for
+constexpr std::uint64_t kAlignment =
+    64; // of every array: a cache line, and all that np.memmap and SIMD ask for
 // The largest values of the old fields; that value itself says "look into the ZIP64 field".
 constexpr std::uint64_t kMax32 = 0xFFFFFFFFu;
 constexpr std::uint16_t kVersionStored = 20, kVersionZip64 = 45; // "version needed to extract"
@@ -31,7 +32,8 @@ std::string npyHeader(const std::string& descr, const std::string& shape)
     return header + text + std::string(bytes - unpadded, ' ') + '\n';
 }
 
-NpzMember member(const std::string& name, const std::string& descr, const std::string& shape, std::uint64_t valueBytes)
+NpzMember member(const std::string& name, const std::string& descr, const std::string& shape,
+                 std::uint64_t valueBytes)
 {
     NpzMember result;
     result.name = name + ".npy";
@@ -80,9 +82,9 @@ void putDirectoryEntry(std::string& out, const NpzMember& member)
     put(out, 3 << 8 | kVersionZip64, 2); // made by: Unix, so that the attributes below are permissions
     putCommon(out, member, !zip64.empty());
     put(out, zip64.empty() ? 0 : kFieldHeaderBytes + zip64.size(), 2);
-    put(out, 0, 2);                             // comment
-    put(out, 0, 2);                             // disk
-    put(out, 0, 2);                             // internal attributes
+    put(out, 0, 2);                            // comment
+    put(out, 0, 2);                            // disk
+    put(out, 0, 2);                            // internal attributes
     put(out, std::uint64_t(0100644) << 16, 4); // external attributes: a regular file, rw-r--r--
     put(out, isFar ? kMax32 : member.localOffset, 4);
     out += member.name;
@@ -105,7 +107,8 @@ NpzLayout layoutNpz(std::uint64_t rowCount, std::uint64_t pairCount, ListValues 
     m[NpzLayout::kIndptr] = member("indptr", "<i8", std::to_string(rowCount + 1) + ",", 8 * (rowCount + 1));
     m[NpzLayout::kIndices] =
         member("indices", layout.indexBytes == 8 ? "<i8" : "<i4", pairShape, layout.indexBytes * pairCount);
-    m[NpzLayout::kData] = member("data", hasDistances ? "<f4" : "|i1", pairShape, (hasDistances ? 4 : 1) * pairCount);
+    m[NpzLayout::kData] =
+        member("data", hasDistances ? "<f4" : "|i1", pairShape, (hasDistances ? 4 : 1) * pairCount);
     m[NpzLayout::kShape] = member("shape", "<i8", "2,", 16);
     m[NpzLayout::kFormat] = member("format", "|S3", "", 3);
 

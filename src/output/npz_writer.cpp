@@ -80,7 +80,10 @@ struct Block {
     std::vector<std::int64_t> wideIndices; // instead, past 2^31-1 rows
     std::vector<float> distances;
 
-    std::uint64_t pairCount() const { return ends.empty() ? 0 : static_cast<std::uint64_t>(ends.back()) - firstPair; }
+    std::uint64_t pairCount() const
+    {
+        return ends.empty() ? 0 : static_cast<std::uint64_t>(ends.back()) - firstPair;
+    }
     // Pairs of the block before a row.
     std::uint64_t pairsBefore(std::size_t row) const
     {
@@ -91,7 +94,9 @@ struct Block {
 class NpzStream {
 public:
     NpzStream(OutputFile& file, const NpzRows& rows, ListValues values)
-        : mFile(file), mRows(rows), mHasDistances(values == ListValues::kDistance),
+        : mFile(file),
+          mRows(rows),
+          mHasDistances(values == ListValues::kDistance),
           mLayout(layoutNpz(rows.size(), rows.pairCount(), values))
     {
         for (NpzMember& member : mLayout.members) {
@@ -118,8 +123,9 @@ public:
                                  });
         }
         if (next->firstPair != mRows.pairCount()) { // nothing is renamed then
-            throw OutputError(mFile.path() + ": the counts of the lists sum to " + std::to_string(next->firstPair) +
-                              " pairs instead of " + std::to_string(mRows.pairCount()));
+            throw OutputError(mFile.path() + ": the counts of the lists sum to " +
+                              std::to_string(next->firstPair) + " pairs instead of " +
+                              std::to_string(mRows.pairCount()));
         }
         finish();
     }
@@ -153,7 +159,8 @@ private:
         if (block.indices.size() < pairs) block.indices.resize(pairs);
         if (mLayout.indexBytes == 8 && block.wideIndices.size() < pairs) block.wideIndices.resize(pairs);
         if (mHasDistances && block.distances.size() < pairs) block.distances.resize(pairs);
-        tbb::parallel_for(std::size_t(0), block.tasks.size(), [&](std::size_t i) { sortTask(block, block.tasks[i]); });
+        tbb::parallel_for(std::size_t(0), block.tasks.size(),
+                          [&](std::size_t i) { sortTask(block, block.tasks[i]); });
     }
 
     void sortTask(Block& block, Task& task)
@@ -189,8 +196,8 @@ private:
         const bool isWide = mLayout.indexBytes == 8;
         const void* const indices =
             isWide ? static_cast<const void*>(block.wideIndices.data()) : block.indices.data();
-        mFile.writeAt(mLayout.members[NpzLayout::kIndices].valueOffset + block.firstPair * mLayout.indexBytes, indices,
-                      static_cast<std::size_t>(pairs) * mLayout.indexBytes);
+        mFile.writeAt(mLayout.members[NpzLayout::kIndices].valueOffset + block.firstPair * mLayout.indexBytes,
+                      indices, static_cast<std::size_t>(pairs) * mLayout.indexBytes);
         const NpzMember& data = mLayout.members[NpzLayout::kData];
         if (mHasDistances) {
             mFile.writeAt(data.valueOffset + block.firstPair * 4, block.distances.data(),
@@ -224,7 +231,8 @@ private:
     // The small members, and the headers, which need the CRCs.
     void finish()
     {
-        const std::int64_t shape[2] = {static_cast<std::int64_t>(mRows.size()), static_cast<std::int64_t>(mRows.size())};
+        const std::int64_t shape[2] = {static_cast<std::int64_t>(mRows.size()),
+                                       static_cast<std::int64_t>(mRows.size())};
         append(NpzLayout::kShape, 0, shape, sizeof shape, crcOf(0, shape, sizeof shape));
         append(NpzLayout::kFormat, 0, "csr", 3, crcOf(0, "csr", 3));
         NpzMember& data = mLayout.members[NpzLayout::kData];
@@ -292,7 +300,8 @@ void writeNpz(const std::string& path, const NeighborLists& lists, ListValues va
               Progress* progress)
 {
     if (lists.encoding() == Encoding::kNone) {
-        throw InvalidInput(path + ": counts alone (encoding none) are no lists; search with encoding index or mask");
+        throw InvalidInput(path +
+                           ": counts alone (encoding none) are no lists; search with encoding index or mask");
     }
     writeNpzRows(path, ListRows(lists), values, overwrite, progress);
 }

@@ -33,14 +33,19 @@ std::string nextStep(int error)
 {
     switch (error) {
     case ENOSPC:
-    case EDQUOT: return "; free space there or write to another disk";
-    case EFBIG: return "; raise the file size limit (ulimit -f) or write to another file system";
+    case EDQUOT:
+        return "; free space there or write to another disk";
+    case EFBIG:
+        return "; raise the file size limit (ulimit -f) or write to another file system";
     case EACCES:
     case EPERM:
-    case EROFS: return "; choose a folder that you may write to";
+    case EROFS:
+        return "; choose a folder that you may write to";
     case ENOENT:
-    case ENOTDIR: return "; create the folder first";
-    default: return {};
+    case ENOTDIR:
+        return "; create the folder first";
+    default:
+        return {};
     }
 }
 
@@ -50,7 +55,7 @@ std::string nextStep(int error)
 }
 
 struct Target {
-    std::string path; // after symbolic links
+    std::string path;             // after symbolic links
     std::optional<unsigned> mode; // permissions of the file to be replaced
 };
 
@@ -70,7 +75,8 @@ Target resolveTarget(const std::string& path, bool overwrite)
         if (errno != ENOENT) failOutput(path, "cannot be written", errno);
         if (path.back() == '/') failOutput(path, "cannot be written", EISDIR);
         struct stat folder {};
-        if (::stat(folderOf(path).c_str(), &folder) != 0) failOutput(path, "its folder cannot be used", errno);
+        if (::stat(folderOf(path).c_str(), &folder) != 0)
+            failOutput(path, "its folder cannot be used", errno);
         if (!S_ISDIR(folder.st_mode)) failOutput(path, "its folder cannot be used", ENOTDIR);
         return {path, std::nullopt};
     }
@@ -78,12 +84,14 @@ Target resolveTarget(const std::string& path, bool overwrite)
     if (S_ISLNK(status.st_mode)) {
         const std::unique_ptr<char, void (*)(void*)> real(::realpath(path.c_str(), nullptr), &std::free);
         if (!real || ::stat(path.c_str(), &status) != 0) {
-            throw OutputExists(path + ": is a symbolic link that leads to no file; remove it or choose another name");
+            throw OutputExists(
+                path + ": is a symbolic link that leads to no file; remove it or choose another name");
         }
         resolved = real.get();
     }
     if (!S_ISREG(status.st_mode)) {
-        throw OutputExists(path + ": exists and is not a regular file; it is never replaced, choose another name");
+        throw OutputExists(path +
+                           ": exists and is not a regular file; it is never replaced, choose another name");
     }
     if (!overwrite) {
         throw OutputExists(path + ": exists already; allow overwriting (--force) or choose another name");
@@ -105,7 +113,8 @@ std::string temporarySuffix()
 void checkOutput(const std::string& path, bool overwrite)
 {
     const std::string folder = folderOf(resolveTarget(path, overwrite).path);
-    if (::access(folder.c_str(), W_OK | X_OK) != 0) failOutput(path, "its folder cannot be written to", errno);
+    if (::access(folder.c_str(), W_OK | X_OK) != 0)
+        failOutput(path, "its folder cannot be written to", errno);
 }
 
 OutputFile::OutputFile(const std::string& path, bool overwrite) : mPath(path), mOverwrite(overwrite)
@@ -174,7 +183,8 @@ void OutputFile::commit()
 void OutputFile::replaceTarget()
 {
     if (!mOverwrite) {
-        if (::renameat2(AT_FDCWD, mTemporary.c_str(), AT_FDCWD, mTarget.c_str(), RENAME_NOREPLACE) == 0) return;
+        if (::renameat2(AT_FDCWD, mTemporary.c_str(), AT_FDCWD, mTarget.c_str(), RENAME_NOREPLACE) == 0)
+            return;
         if (errno == EEXIST) {
             throw OutputExists(mPath + ": came into being while it was written; choose another name");
         }

@@ -68,8 +68,9 @@ template <typename Real>
 ParticleView makeInterleavedView(const Real* xyz, std::size_t count, std::size_t strideBytes)
 {
     if (strideBytes < 3 * sizeof(Real)) {
-        throw InvalidInput("a stride of " + std::to_string(strideBytes) + " bytes is too small for a position of " +
-                           std::to_string(3 * sizeof(Real)) + " bytes");
+        throw InvalidInput("a stride of " + std::to_string(strideBytes) +
+                           " bytes is too small for a position of " + std::to_string(3 * sizeof(Real)) +
+                           " bytes");
     }
     return makeView(xyz, xyz ? xyz + 1 : nullptr, xyz ? xyz + 2 : nullptr, count, strideBytes);
 }
@@ -100,9 +101,15 @@ ParticleView ParticleView::fromArrays(const double* x, const double* y, const do
     return makeView(x, y, z, count, sizeof(double));
 }
 
-std::size_t ParticleView::size() const { return mSource->size(); }
+std::size_t ParticleView::size() const
+{
+    return mSource->size();
+}
 
-const Matrix3& ParticleView::linear() const { return mSource->linear(); }
+const Matrix3& ParticleView::linear() const
+{
+    return mSource->linear();
+}
 
 Vec3d ParticleView::worldPosition(std::size_t i) const
 {

@@ -62,8 +62,8 @@ public:
 private:
     [[noreturn]] void fail(const std::string& what) const
     {
-        throw InputError(mPath + ": damaged .npy header at byte " + std::to_string(mFileOffset + mNext) + ": " + what +
-                         "; write the file again with numpy.save");
+        throw InputError(mPath + ": damaged .npy header at byte " + std::to_string(mFileOffset + mNext) +
+                         ": " + what + "; write the file again with numpy.save");
     }
 
     // The next character that is no white space; nothing at the end.
@@ -104,7 +104,8 @@ private:
     std::string descr()
     {
         if (peek() == '[') {
-            throw InputError(mPath + ": the .npy file holds structured records; save the positions alone, as an " +
+            throw InputError(mPath +
+                             ": the .npy file holds structured records; save the positions alone, as an " +
                              "array of shape (N, 3) and dtype float32 or float64");
         }
         return string();
@@ -167,7 +168,8 @@ FileBytes headerText(const std::string& path, FileBytes bytes, std::size_t& data
     }
     const unsigned major = bytes[6];
     if (major < 1 || major > 3) {
-        throw InputError(path + ": .npy version " + std::to_string(major) + " at byte 6 is not supported (1 to 3 are)");
+        throw InputError(path + ": .npy version " + std::to_string(major) +
+                         " at byte 6 is not supported (1 to 3 are)");
     }
     const std::size_t lengthBytes = major == 1 ? 2 : 4;
     const std::size_t start = 8 + lengthBytes;
@@ -176,8 +178,9 @@ FileBytes headerText(const std::string& path, FileBytes bytes, std::size_t& data
         length = length << 8 | (8 + i < bytes.size() ? bytes[8 + i] : 0u);
     }
     if (bytes.size() < start || length > bytes.size() - start || length > kMaxHeaderBytes) {
-        throw InputError(path + ": the .npy header at byte 8 claims " + std::to_string(length) + " bytes, but the file has " +
-                         std::to_string(bytes.size()) + " and a header may have " + std::to_string(kMaxHeaderBytes) +
+        throw InputError(path + ": the .npy header at byte 8 claims " + std::to_string(length) +
+                         " bytes, but the file has " + std::to_string(bytes.size()) +
+                         " and a header may have " + std::to_string(kMaxHeaderBytes) +
                          "; the file is truncated or damaged");
     }
     dataOffset = start + static_cast<std::size_t>(length);
@@ -193,11 +196,13 @@ NpyLayout parseNpy(const std::string& path, FileBytes bytes)
     const Header header = HeaderParser(path, text, layout.dataOffset - text.size()).parse();
 
     if (header.descr != "<f4" && header.descr != "<f8") {
-        throw InputError(path + ": .npy dtype '" + header.descr + "' is not supported; convert to little-endian float32 " +
+        throw InputError(path + ": .npy dtype '" + header.descr +
+                         "' is not supported; convert to little-endian float32 " +
                          "('<f4') or float64 ('<f8')");
     }
     if (header.fortranOrder) {
-        throw InputError(path + ": the .npy array is in Fortran order; save numpy.ascontiguousarray(positions)");
+        throw InputError(path +
+                         ": the .npy array is in Fortran order; save numpy.ascontiguousarray(positions)");
     }
     if (header.shape.size() != 2 || header.shape[1] != 3) {
         throw InputError(path + ": .npy shape " + shapeText(header.shape) + " is not (N, 3)");
@@ -207,13 +212,15 @@ NpyLayout parseNpy(const std::string& path, FileBytes bytes)
     const std::uint64_t available = bytes.size() - layout.dataOffset;
     const std::uint64_t count = header.shape[0];
     if (count > available / pointBytes) {
-        throw InputError(path + ": truncated: the .npy header promises " + std::to_string(count) + " points of " +
-                         std::to_string(pointBytes) + " bytes, but only " + std::to_string(available) +
-                         " bytes follow from byte " + std::to_string(layout.dataOffset) + "; copy the file again");
+        throw InputError(path + ": truncated: the .npy header promises " + std::to_string(count) +
+                         " points of " + std::to_string(pointBytes) + " bytes, but only " +
+                         std::to_string(available) + " bytes follow from byte " +
+                         std::to_string(layout.dataOffset) + "; copy the file again");
     }
     if (count * pointBytes != available) {
-        throw InputError(path + ": " + std::to_string(available - count * pointBytes) + " bytes too many behind the " +
-                         std::to_string(count) + " points of the .npy header, from byte " +
+        throw InputError(path + ": " + std::to_string(available - count * pointBytes) +
+                         " bytes too many behind the " + std::to_string(count) +
+                         " points of the .npy header, from byte " +
                          std::to_string(layout.dataOffset + count * pointBytes) + "; write the file again");
     }
     if (count > kMaxFilePoints) {

@@ -29,7 +29,7 @@ namespace vdb_nns {
 struct PointFile::Data {
     std::unique_ptr<VdbFile> vdb; // null for array files
     ParticleView view;            // keeps the memory of array files
-    PointFileInfo info; // all but the pass over the positions is there from the start
+    PointFileInfo info;           // all but the pass over the positions is there from the start
     std::once_flag infoOnce;
 };
 
@@ -54,7 +54,8 @@ public:
         struct stat status {};
         if (::stat(path.c_str(), &status) != 0) fail(errno);
         // A pipe or a device has no size to hold a header's numbers against.
-        if (!S_ISREG(status.st_mode)) throw InputError(path + ": is not a regular file; give the name of one");
+        if (!S_ISREG(status.st_mode))
+            throw InputError(path + ": is not a regular file; give the name of one");
         mDescriptor = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
         if (mDescriptor < 0) fail(errno);
         mBytes = static_cast<std::size_t>(status.st_size);
@@ -74,7 +75,8 @@ public:
             if (got < 0 && errno == EINTR) continue;
             if (got < 0) fail(errno);
             if (got == 0) {
-                throw InputError(mPath + ": became shorter while it was read, at byte " + std::to_string(offset));
+                throw InputError(mPath + ": became shorter while it was read, at byte " +
+                                 std::to_string(offset));
             }
             out += got;
             offset += static_cast<std::size_t>(got);
@@ -85,7 +87,8 @@ public:
 private:
     [[noreturn]] void fail(int error) const
     {
-        throw InputError(mPath + ": cannot be read: " + std::strerror(error) + "; check the name and the permissions");
+        throw InputError(mPath + ": cannot be read: " + std::strerror(error) +
+                         "; check the name and the permissions");
     }
 
     std::string mPath;
@@ -229,10 +232,12 @@ PointFile PointFile::read(const std::string& path, const std::string& grid, Prog
     data.info.format = lowerExtension(path);
     const std::string& format = data.info.format;
     if (format != "vdb" && format != "npy" && format != "ply" && format != "xyz") {
-        throw InvalidInput(path + ": unknown extension '" + format + "'; point files are .vdb, .npy, .ply and .xyz");
+        throw InvalidInput(path + ": unknown extension '" + format +
+                           "'; point files are .vdb, .npy, .ply and .xyz");
     }
     if (format != "vdb" && !grid.empty()) {
-        throw InvalidInput(path + ": a ." + format + " file has no grids; leave the grid name '" + grid + "' out");
+        throw InvalidInput(path + ": a ." + format + " file has no grids; leave the grid name '" + grid +
+                           "' out");
     }
     const InputDescriptor file(path);
     try {
@@ -268,7 +273,8 @@ void PointFile::writeVdb(const std::string& path, Span<const std::uint32_t> coun
                          bool overwrite, Progress* progress) const
 {
     if (!mData->vdb) {
-        throw InvalidInput(mData->info.path + ": result attributes are written to .vdb files only, and this is a ." +
+        throw InvalidInput(mData->info.path +
+                           ": result attributes are written to .vdb files only, and this is a ." +
                            mData->info.format + " file; write lists (.npz) instead");
     }
     mData->vdb->write(path, counts, prefix + "count", overwrite, progress);

@@ -40,8 +40,8 @@ public:
         const std::uint64_t version = number(4);
         if (version != kVdbFileVersion) {
             throw InputError(mPath + ": VDB file version " + std::to_string(version) +
-                             " is not supported: point grids need version " + std::to_string(kVdbFileVersion) +
-                             "; write the file again with OpenVDB 4 to 11");
+                             " is not supported: point grids need version " +
+                             std::to_string(kVdbFileVersion) + "; write the file again with OpenVDB 4 to 11");
         }
         skip(4 + 4); // library version
         directory.hasOffsets = number(1) != 0;
@@ -75,9 +75,9 @@ private:
         if (gridPosition < mPosition || endPosition < gridPosition || blockPosition > endPosition ||
             endPosition > mFileBytes) {
             throw InputError(mPath + ": damaged: grid '" + entry.uniqueName + "' claims bytes " +
-                             std::to_string(gridPosition) + " to " + std::to_string(endPosition) + " of a file of " +
-                             std::to_string(mFileBytes) + " whose byte " + std::to_string(mPosition) +
-                             " is next; write the file again");
+                             std::to_string(gridPosition) + " to " + std::to_string(endPosition) +
+                             " of a file of " + std::to_string(mFileBytes) + " whose byte " +
+                             std::to_string(mPosition) + " is next; write the file again");
         }
         seek(gridPosition);
         entry.compression = static_cast<std::uint32_t>(number(4));
@@ -87,14 +87,15 @@ private:
 
     [[noreturn]] void failTruncated(const std::string& what) const
     {
-        throw InputError(mPath + ": truncated: " + what + ", but the file has only " + std::to_string(mFileBytes) +
-                         " bytes; copy or write it again");
+        throw InputError(mPath + ": truncated: " + what + ", but the file has only " +
+                         std::to_string(mFileBytes) + " bytes; copy or write it again");
     }
 
     void need(std::uint64_t bytes) const
     {
         if (bytes > mFileBytes - mPosition) {
-            failTruncated("its directory needs " + std::to_string(bytes) + " bytes at byte " + std::to_string(mPosition));
+            failTruncated("its directory needs " + std::to_string(bytes) + " bytes at byte " +
+                          std::to_string(mPosition));
         }
     }
 

@@ -10,9 +10,10 @@
 namespace vdb_nns {
 
 struct VdbEntry {
-    std::string uniqueName; // the grid's name; where that is empty or there twice, followed by \x1e and a number
-    std::string gridType;   // OpenVDB's name of the tree type
-    std::string instanceParent; // unique name of the grid whose tree this one shares; mostly empty
+    std::string
+        uniqueName; // the grid's name; where that is empty or there twice, followed by \x1e and a number
+    std::string gridType;          // OpenVDB's name of the tree type
+    std::string instanceParent;    // unique name of the grid whose tree this one shares; mostly empty
     std::uint32_t compression = 0; // flags of openvdb/io/Compression.h
 };
 

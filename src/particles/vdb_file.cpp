@@ -35,7 +35,8 @@ auto guardRead(const std::string& path, F&& read)
     } catch (const Error&) {
         throw;
     } catch (const std::exception& error) {
-        throw InputError(path + ": OpenVDB cannot read it: " + error.what() + "; check the file with vdb_print");
+        throw InputError(path + ": OpenVDB cannot read it: " + error.what() +
+                         "; check the file with vdb_print");
     }
 }
 
@@ -45,7 +46,8 @@ std::string quoted(const std::string& uniqueName)
 }
 
 // Number of the entry that a caller means, by "name", or "name[n]" where a name is there several times.
-std::size_t chooseEntry(const std::string& path, const std::vector<VdbEntry>& entries, const std::string& wanted)
+std::size_t chooseEntry(const std::string& path, const std::vector<VdbEntry>& entries,
+                        const std::string& wanted)
 {
     std::vector<std::size_t> pointGrids, matching;
     std::string list;
@@ -102,7 +104,8 @@ private:
             mMetadata = stream.getMetadata();
             mStreamGrids = stream.getGrids();
         } catch (const std::ios::failure&) {
-            throw InputError(mPath + ": truncated: the file ends before its grids do; copy or write it again");
+            throw InputError(mPath +
+                             ": truncated: the file ends before its grids do; copy or write it again");
         }
         std::map<std::string, int> seen;
         for (const openvdb::GridBase::Ptr& grid : *mStreamGrids) {
@@ -170,7 +173,8 @@ std::uint32_t archiveCompression(const std::vector<VdbEntry>& entries, std::size
     constexpr std::uint32_t kExclusive = openvdb::io::COMPRESS_ZIP | openvdb::io::COMPRESS_BLOSC;
     std::uint32_t all = 0;
     for (const VdbEntry& entry : entries) all |= entry.compression;
-    if ((all & kExclusive) == kExclusive) all = (all & ~kExclusive) | (entries[chosen].compression & kExclusive);
+    if ((all & kExclusive) == kExclusive)
+        all = (all & ~kExclusive) | (entries[chosen].compression & kExclusive);
     return all;
 }
 
@@ -220,7 +224,8 @@ void LoadedVdb::describe(PointFileInfo& info) const
     } else if (const auto single = mGrid->getMetadata<openvdb::FloatMetadata>(kRadiusMetadata)) {
         info.suggestedRadius = single->value();
     }
-    const auto leaf = mGrid->tree().cbeginLeaf();
+    auto leaf = mGrid->tree().cbeginLeaf();
+    while (leaf && leaf->attributeSet().size() == 0) ++leaf; // made, but never given points
     if (!leaf) return;
     const points::AttributeSet::Descriptor& descriptor = leaf->attributeSet().descriptor();
     info.attributes.resize(descriptor.size());
@@ -230,7 +235,8 @@ void LoadedVdb::describe(PointFileInfo& info) const
     }
 }
 
-std::vector<openvdb::GridBase::Ptr> LoadedVdb::readOtherGrids(Archive& archive, const CancelCheck& cancel) const
+std::vector<openvdb::GridBase::Ptr> LoadedVdb::readOtherGrids(Archive& archive,
+                                                              const CancelCheck& cancel) const
 {
     const std::vector<VdbEntry>& entries = archive.entries();
     if (mChosen >= entries.size() || entries[mChosen].gridType != points::PointDataGrid::gridType()) {
@@ -282,8 +288,12 @@ void LoadedVdb::write(const std::string& path, Span<const std::uint32_t> counts,
     });
     std::ostream stream(&buffer);
     stream.exceptions(std::ios::badbit | std::ios::failbit);
-    out.writeTo(stream, grids, metadata);
-    stream.flush();
+    try {
+        out.writeTo(stream, grids, metadata);
+        stream.flush();
+    } catch (const openvdb::Exception& error) {
+        throw OutputError(path + ": OpenVDB cannot write it: " + error.what());
+    }
     cancel.check();
     file.commit();
     cancel.update(1);

@@ -15,7 +15,8 @@ public:
     virtual ~VdbFile() = default;
 
     // As PointFile::read(). Reads the chosen grid only.
-    static std::unique_ptr<VdbFile> read(const std::string& path, const std::string& grid, Progress* progress);
+    static std::unique_ptr<VdbFile> read(const std::string& path, const std::string& grid,
+                                         Progress* progress);
 
     // Keeps the grid's memory alive.
     virtual const ParticleView& view() const = 0;
@@ -24,8 +25,8 @@ public:
     virtual void describe(PointFileInfo& info) const = 0;
 
     // As PointFile::writeVdb(). Other grids are read from the file again, so it must still be there.
-    virtual void write(const std::string& path, Span<const std::uint32_t> counts, const std::string& attribute,
-                       bool overwrite, Progress* progress) const = 0;
+    virtual void write(const std::string& path, Span<const std::uint32_t> counts,
+                       const std::string& attribute, bool overwrite, Progress* progress) const = 0;
 };
 
 } // namespace vdb_nns

@@ -20,6 +20,8 @@
 #include <memory>
 #include <vector>
 
+#include <emmintrin.h>
+
 namespace vdb_nns {
 
 namespace {
@@ -70,10 +72,14 @@ Vec3f decoded(const void* values, std::size_t index)
 Vec3f decodedBy(PositionCodec codec, const void* values, std::size_t index)
 {
     switch (codec) {
-    case PositionCodec::kTruncate: return decoded<TruncateCodec>(values, index);
-    case PositionCodec::kFixed16: return decoded<Fixed16Codec>(values, index);
-    case PositionCodec::kFixed8: return decoded<Fixed8Codec>(values, index);
-    case PositionCodec::kNull: break;
+    case PositionCodec::kTruncate:
+        return decoded<TruncateCodec>(values, index);
+    case PositionCodec::kFixed16:
+        return decoded<Fixed16Codec>(values, index);
+    case PositionCodec::kFixed8:
+        return decoded<Fixed8Codec>(values, index);
+    case PositionCodec::kNull:
+        break;
     }
     return decoded<NullCodec>(values, index);
 }
@@ -92,7 +98,8 @@ void readTransform(const points::PointDataGrid& grid, Matrix3& linear, Vec3d& tr
     try {
         matrix = transform.baseMap()->getAffineMap()->getMat4();
     } catch (const openvdb::ArithmeticError&) { // OpenVDB itself refuses |determinant| < 3e-15
-        throw InputError(gridText(grid) + "its transform's matrix is singular to OpenVDB; scale the scene up or repair " +
+        throw InputError(gridText(grid) +
+                         "its transform's matrix is singular to OpenVDB; scale the scene up or repair " +
                          "the transform");
     }
     Eigen::Matrix3d eigen;
@@ -104,9 +111,11 @@ void readTransform(const points::PointDataGrid& grid, Matrix3& linear, Vec3d& tr
         translation[row] = matrix(3, row);
     }
     // Rank by pivots relative to the largest one (3 epsilon), so that a tiny scale is no fault but a lost dimension is.
-    const bool isFinite = eigen.allFinite() && std::isfinite(translation[0] + translation[1] + translation[2]);
+    const bool isFinite =
+        eigen.allFinite() && std::isfinite(translation[0] + translation[1] + translation[2]);
     if (!isFinite || !Eigen::FullPivLU<Eigen::Matrix3d>(eigen).isInvertible()) {
-        throw InputError(gridText(grid) + "the matrix of its transform is singular or not finite, so that its points " +
+        throw InputError(gridText(grid) +
+                         "the matrix of its transform is singular or not finite, so that its points " +
                          "have no place in space; repair the transform");
     }
 }
@@ -133,10 +142,14 @@ const void* rawValues(const points::AttributeArray& array)
 const void* rawValuesBy(PositionCodec codec, const points::AttributeArray& array)
 {
     switch (codec) {
-    case PositionCodec::kTruncate: return rawValues<TruncateCodec>(array);
-    case PositionCodec::kFixed16: return rawValues<Fixed16Codec>(array);
-    case PositionCodec::kFixed8: return rawValues<Fixed8Codec>(array);
-    case PositionCodec::kNull: break;
+    case PositionCodec::kTruncate:
+        return rawValues<TruncateCodec>(array);
+    case PositionCodec::kFixed16:
+        return rawValues<Fixed16Codec>(array);
+    case PositionCodec::kFixed8:
+        return rawValues<Fixed8Codec>(array);
+    case PositionCodec::kNull:
+        break;
     }
     return rawValues<NullCodec>(array);
 }
@@ -159,8 +172,9 @@ std::size_t checkOffsets(const points::PointDataGrid& grid, const Leaf& leaf, co
         const std::size_t size = attributes.getConst(i)->size();
         if (size != count && !(count == 0 && size <= 1)) {
             throw InputError(gridText(grid) + "the leaf at " + coordText(leaf.origin()) + " has " +
-                             std::to_string(count) + " points by its voxel offsets, but " + std::to_string(size) +
-                             " values of attribute number " + std::to_string(i) + "; the file is damaged");
+                             std::to_string(count) + " points by its voxel offsets, but " +
+                             std::to_string(size) + " values of attribute number " + std::to_string(i) +
+                             "; the file is damaged");
         }
     }
     return count;
@@ -185,7 +199,8 @@ std::size_t readLeaf(const points::PointDataGrid& grid, const Leaf& leaf, LeafPo
     const points::AttributeArray& array = *leaf.attributeSet().getConst(position);
     out.codec = codecOf(grid, array);
     if (array.stride() != 1) {
-        throw InputError(gridText(grid) + "P has " + std::to_string(array.stride()) + " values a point instead of one");
+        throw InputError(gridText(grid) + "P has " + std::to_string(array.stride()) +
+                         " values a point instead of one");
     }
     if (!array.isDataLoaded()) {
         throw InputError(gridText(grid) + "P of the leaf at " + coordText(leaf.origin()) +
@@ -231,7 +246,8 @@ VdbSource::VdbSource(const points::PointDataGrid::ConstPtr& grid) : mGrid(grid)
     std::vector<LeafPoints> leaves(nodes.size());
     std::vector<std::uint64_t> counts(nodes.size());
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, nodes.size(), 64), [&](const auto& range) {
-        for (std::size_t i = range.begin(); i < range.end(); ++i) counts[i] = readLeaf(*grid, *nodes[i], leaves[i]);
+        for (std::size_t i = range.begin(); i < range.end(); ++i)
+            counts[i] = readLeaf(*grid, *nodes[i], leaves[i]);
     });
 
     mStarts.assign(1, 0);
@@ -242,7 +258,8 @@ VdbSource::VdbSource(const points::PointDataGrid::ConstPtr& grid) : mGrid(grid)
     }
     mSize = mStarts.back();
     if (mSize > std::numeric_limits<std::uint32_t>::max()) {
-        throw InvalidInput(gridText(*grid) + std::to_string(mSize) + " points are more than one view holds (" +
+        throw InvalidInput(gridText(*grid) + std::to_string(mSize) +
+                           " points are more than one view holds (" +
                            std::to_string(std::numeric_limits<std::uint32_t>::max()) + "): split the grid");
     }
     setReference();
@@ -252,10 +269,9 @@ void VdbSource::setReference()
 {
     if (mLeaves.empty()) return;
     for (int k = 0; k < 3; ++k) {
-        const auto [low, high] =
-            std::minmax_element(mLeaves.begin(), mLeaves.end(), [k](const LeafPoints& a, const LeafPoints& b) {
-                return a.origin[k] < b.origin[k];
-            });
+        const auto [low, high] = std::minmax_element(
+            mLeaves.begin(), mLeaves.end(),
+            [k](const LeafPoints& a, const LeafPoints& b) { return a.origin[k] < b.origin[k]; });
         const std::int64_t sum = std::int64_t(low->origin[k]) + high->origin[k];
         mReference[k] = static_cast<double>(sum / 2);
     }
@@ -266,8 +282,19 @@ std::size_t VdbSource::leafOf(std::size_t i) const
     // Neighbors mostly share their query's leaf. The hint is only a guess: it is checked against this source's starts.
     thread_local std::size_t hint = 0;
     if (hint < mLeaves.size() && mStarts[hint] <= i && i < mStarts[hint + 1]) return hint;
-    hint = static_cast<std::size_t>(std::upper_bound(mStarts.begin(), mStarts.end(), i) - mStarts.begin()) - 1;
+    hint =
+        static_cast<std::size_t>(std::upper_bound(mStarts.begin(), mStarts.end(), i) - mStarts.begin()) - 1;
     return hint;
+}
+
+// The voxel of a leaf's point: how many voxels end at or before it. Without branches; there are 512 voxels.
+openvdb::Index voxelOf(const VoxelOffset* ends, openvdb::Index32 point)
+{
+    openvdb::Index voxel = 0;
+    for (openvdb::Index step = Leaf::SIZE / 2; step > 0; step /= 2) {
+        voxel += openvdb::Index32(ends[voxel + step - 1]) <= point ? step : 0;
+    }
+    return voxel;
 }
 
 StoredPosition VdbSource::stored(std::size_t i) const
@@ -275,10 +302,7 @@ StoredPosition VdbSource::stored(std::size_t i) const
     const std::size_t index = leafOf(i);
     const LeafPoints& leaf = mLeaves[index];
     const openvdb::Index32 local = static_cast<openvdb::Index32>(i - mStarts[index]);
-    const VoxelOffset* const end = std::upper_bound(
-        leaf.ends, leaf.ends + Leaf::SIZE, local,
-        [](openvdb::Index32 value, const VoxelOffset& voxelEnd) { return value < openvdb::Index32(voxelEnd); });
-    const openvdb::Coord inLeaf = Leaf::offsetToLocalCoord(static_cast<openvdb::Index>(end - leaf.ends));
+    const openvdb::Coord inLeaf = Leaf::offsetToLocalCoord(voxelOf(leaf.ends, local));
     const Vec3f offset = decodedBy(leaf.codec, leaf.values, leaf.isUniform ? 0 : local);
     StoredPosition position;
     for (int k = 0; k < 3; ++k) {
@@ -288,43 +312,51 @@ StoredPosition VdbSource::stored(std::size_t i) const
     return position;
 }
 
-// Writes the points [begin, end) of a voxel, numbered within their leaf, at `voxel`, its exact place less the reference.
-template <typename Codec, bool isUniform>
-void readVoxel(const LeafPoints& leaf, std::size_t begin, std::size_t end, const double (&voxel)[3], Output& out)
+// Bit n: voxel n holds points. Without branches, since where a spray has points cannot be predicted.
+void findOccupied(const VoxelOffset* ends, std::uint64_t (&occupied)[8])
 {
-    for (std::size_t i = begin; i < end; ++i) {
-        const Vec3f offset = decoded<Codec>(leaf.values, isUniform ? 0 : i);
-        *out.x++ = voxel[0] + offset.x(); // the only rounding
-        *out.y++ = voxel[1] + offset.y();
-        *out.z++ = voxel[2] + offset.z();
+    static_assert(Leaf::SIZE == 512, "8 words of 64 voxels");
+    const __m128i* const at = reinterpret_cast<const __m128i*>(ends);
+    __m128i before = _mm_setzero_si128(); // its last value is the end of the voxel before
+    for (int word = 0; word < 8; ++word) {
+        std::uint64_t empty = 0;
+        for (int i = 0; i < 16; ++i) {
+            const __m128i here = _mm_loadu_si128(at + word * 16 + i);
+            const __m128i shifted = _mm_or_si128(_mm_slli_si128(here, 4), _mm_srli_si128(before, 12));
+            const int equal = _mm_movemask_ps(_mm_castsi128_ps(_mm_cmpeq_epi32(here, shifted)));
+            empty |= static_cast<std::uint64_t>(equal) << (4 * i);
+            before = here;
+        }
+        occupied[word] = ~empty;
     }
 }
 
-// Writes the points [begin, end) of a leaf. Runs of 64 voxels (one x) and of 8 (one x, y) without points are stepped over
-// whole: a leaf of a spray has few points and 512 offsets.
+// Writes the points [begin, end) of a leaf whose lowest voxel is at `corner` less the reference.
 template <typename Codec, bool isUniform>
-void readLeafPoints(const LeafPoints& leaf, std::size_t begin, std::size_t end, const double (&corner)[3], Output& out)
+void readLeafPoints(const LeafPoints& leaf, std::size_t begin, std::size_t end, const double (&corner)[3],
+                    Output& out)
 {
-    static_assert(Leaf::LOG2DIM == 3, "a leaf is 8 voxels wide");
-    const auto endOf = [&](int voxel) { return std::size_t(openvdb::Index32(leaf.ends[voxel])); };
+    std::uint64_t occupied[8];
+    findOccupied(leaf.ends, occupied);
     std::size_t next = begin;
-    for (int x = 0; x < 512 && next < end; x += 64) {
-        if (endOf(x + 63) <= next) continue;
-        for (int y = x; y < x + 64 && next < end; y += 8) {
-            if (endOf(y + 7) <= next) continue;
-            for (int z = y; z < y + 8 && next < end; ++z) {
-                const std::size_t last = std::min(endOf(z), end);
-                if (last <= next) continue;
-                const double voxel[3] = {corner[0] + (x >> 6), corner[1] + ((y >> 3) & 7), corner[2] + (z & 7)};
-                readVoxel<Codec, isUniform>(leaf, next, last, voxel, out);
-                next = last;
+    for (int x = 0; x < 8; ++x) {
+        for (std::uint64_t bits = occupied[x]; bits != 0 && next < end; bits &= bits - 1) {
+            const int yz = __builtin_ctzll(bits);
+            const std::size_t last = std::min<std::size_t>(openvdb::Index32(leaf.ends[x * 64 + yz]), end);
+            const double voxel[3] = {corner[0] + x, corner[1] + (yz >> 3), corner[2] + (yz & 7)}; // exact
+            for (; next < last; ++next) {
+                const Vec3f offset = decoded<Codec>(leaf.values, isUniform ? 0 : next);
+                *out.x++ = voxel[0] + offset.x(); // the only rounding
+                *out.y++ = voxel[1] + offset.y();
+                *out.z++ = voxel[2] + offset.z();
             }
         }
     }
 }
 
 template <typename Codec>
-void readLeafBy(const LeafPoints& leaf, std::size_t begin, std::size_t end, const double (&corner)[3], Output& out)
+void readLeafBy(const LeafPoints& leaf, std::size_t begin, std::size_t end, const double (&corner)[3],
+                Output& out)
 {
     if (leaf.isUniform) {
         readLeafPoints<Codec, true>(leaf, begin, end, corner, out);
@@ -339,7 +371,8 @@ void VdbSource::read(std::size_t begin, std::size_t count, const Vec3d& referenc
     if (count == 0) return;
     Output out{x, y, z};
     std::size_t index =
-        static_cast<std::size_t>(std::upper_bound(mStarts.begin(), mStarts.end(), begin) - mStarts.begin()) - 1;
+        static_cast<std::size_t>(std::upper_bound(mStarts.begin(), mStarts.end(), begin) - mStarts.begin()) -
+        1;
     for (std::size_t next = begin; next < begin + count; ++index) {
         const LeafPoints& leaf = mLeaves[index];
         const std::size_t first = next - mStarts[index];
@@ -349,10 +382,18 @@ void VdbSource::read(std::size_t begin, std::size_t count, const Vec3d& referenc
         const double corner[3] = {leaf.origin.x() - reference[0], leaf.origin.y() - reference[1],
                                   leaf.origin.z() - reference[2]};
         switch (leaf.codec) {
-        case PositionCodec::kNull: readLeafBy<NullCodec>(leaf, first, last, corner, out); break;
-        case PositionCodec::kTruncate: readLeafBy<TruncateCodec>(leaf, first, last, corner, out); break;
-        case PositionCodec::kFixed16: readLeafBy<Fixed16Codec>(leaf, first, last, corner, out); break;
-        case PositionCodec::kFixed8: readLeafBy<Fixed8Codec>(leaf, first, last, corner, out); break;
+        case PositionCodec::kNull:
+            readLeafBy<NullCodec>(leaf, first, last, corner, out);
+            break;
+        case PositionCodec::kTruncate:
+            readLeafBy<TruncateCodec>(leaf, first, last, corner, out);
+            break;
+        case PositionCodec::kFixed16:
+            readLeafBy<Fixed16Codec>(leaf, first, last, corner, out);
+            break;
+        case PositionCodec::kFixed8:
+            readLeafBy<Fixed8Codec>(leaf, first, last, corner, out);
+            break;
         }
     }
 }
@@ -405,11 +446,12 @@ void setPointAttribute(points::PointDataGrid& grid, const std::string& name, Spa
                            std::to_string(starts.back()) + " points; give one value a point");
     }
     constexpr std::uint32_t kMax = std::numeric_limits<std::int32_t>::max();
-    const auto tooLarge = std::find_if(values.begin(), values.end(), [](std::uint32_t v) { return v > kMax; });
+    const auto tooLarge =
+        std::find_if(values.begin(), values.end(), [](std::uint32_t v) { return v > kMax; });
     if (tooLarge != values.end()) {
         throw InvalidInput(gridText(grid) + "value " + std::to_string(*tooLarge) + " of point " +
-                           std::to_string(tooLarge - values.begin()) + " does not fit the int32 attribute '" + name +
-                           "' (at most " + std::to_string(kMax) + ")");
+                           std::to_string(tooLarge - values.begin()) + " does not fit the int32 attribute '" +
+                           name + "' (at most " + std::to_string(kMax) + ")");
     }
     if (leaves.empty()) return; // attributes live in leaves
 

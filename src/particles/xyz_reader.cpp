@@ -120,10 +120,11 @@ void refuseCountLine(const std::string& path, const char* begin, const char* end
             while (last != lineEnd && *last >= '0' && *last <= '9') ++last;
             const char* const rest = skipBlanks(last, lineEnd);
             if (last != first && (rest == lineEnd || *rest == '#')) {
-                throw InputError(path + ": line " + std::to_string(1 + std::count(begin, line, '\n')) +
-                                 " is one integer, " + shown(first, last) +
-                                 ", as in chemistry's .xyz, which is not supported; remove the count, the comment " +
-                                 "line and the names so that each line has three numbers");
+                throw InputError(
+                    path + ": line " + std::to_string(1 + std::count(begin, line, '\n')) +
+                    " is one integer, " + shown(first, last) +
+                    ", as in chemistry's .xyz, which is not supported; remove the count, the comment " +
+                    "line and the names so that each line has three numbers");
             }
             return;
         }
@@ -147,9 +148,10 @@ PositionArray parseXyz(const std::string& path, FileBytes bytes)
     for (const Chunk& chunk : chunks) {
         if (chunk.fault) {
             const char* const line = begin + chunk.fault->byte;
-            throw InputError(path + ": line " + std::to_string(1 + std::count(begin, line, '\n')) + " (byte " +
-                             std::to_string(chunk.fault->byte) + ") " + chunk.fault->what + ": " +
-                             shown(line, findLineEnd(line, end)) + "; a line is x y z, with spaces or tabs between");
+            throw InputError(path + ": line " + std::to_string(1 + std::count(begin, line, '\n')) +
+                             " (byte " + std::to_string(chunk.fault->byte) + ") " + chunk.fault->what + ": " +
+                             shown(line, findLineEnd(line, end)) +
+                             "; a line is x y z, with spaces or tabs between");
         }
         starts.push_back(starts.back() + chunk.values.size());
     }

@@ -172,7 +172,8 @@ void makeTwoSources(const Job& job)
     const std::uint64_t disc = std::min(job.count, thickness * ring.size());
     const std::uint64_t left = (job.count - disc) / 2, right = job.count - disc - left;
     const Random random(job.options.seed, kJitterStream);
-    const auto layers = [&](std::uint64_t first, std::uint64_t count, const auto& places, double x0, double step) {
+    const auto layers = [&](std::uint64_t first, std::uint64_t count, const auto& places, double x0,
+                            double step) {
         place(job, first, count, {0, 0, 0}, [&](std::uint64_t k, std::uint64_t index) {
             const auto& at = places[k % places.size()];
             const double x = x0 + step * static_cast<double>(k / places.size());

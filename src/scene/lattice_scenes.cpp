@@ -35,7 +35,10 @@ std::vector<Vec3d> latticeBall(int radius2)
     return ball;
 }
 
-void makeBlock(const Job& job) { placeBlock(job, 0, job.count, {0, 0, 0}); }
+void makeBlock(const Job& job)
+{
+    placeBlock(job, 0, job.count, {0, 0, 0});
+}
 
 void makeLattice(const Job& job)
 {
@@ -51,8 +54,9 @@ void makeCoincident(const Job& job)
     const std::uint64_t others = job.count - std::min(atPoint, job.count);
     const double middle = 0.5 * static_cast<double>(others ? cubeEdge(others) : 0);
     placeBlock(job, 0, others, {0, 0, 0});
-    place(job, others, job.count - others, {0, 0, 0},
-          [&](std::uint64_t, std::uint64_t) { return Vec3d{middle, middle, middle}; });
+    place(job, others, job.count - others, {0, 0, 0}, [&](std::uint64_t, std::uint64_t) {
+        return Vec3d{middle, middle, middle};
+    });
 }
 
 // The lone particle comes last; it stands along (2, -1, 2)/3, a unit vector that is off every axis and diagonal.
@@ -60,8 +64,9 @@ void makeOutlier(const Job& job)
 {
     const double third = job.options.distance.value_or(1e6) * job.voxelSize / 3;
     placeBlock(job, 0, job.count - 1, {0, 0, 0});
-    place(job, job.count - 1, 1, {2 * third, -third, 2 * third},
-          [](std::uint64_t, std::uint64_t) { return Vec3d{0.5, 0.5, 0.5}; });
+    place(job, job.count - 1, 1, {2 * third, -third, 2 * third}, [](std::uint64_t, std::uint64_t) {
+        return Vec3d{0.5, 0.5, 0.5};
+    });
 }
 
 void makeFar(const Job& job)

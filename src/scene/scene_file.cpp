@@ -69,8 +69,9 @@ void checkRange(const Scene& scene)
         },
         [](bool a, bool b) { return a && b; });
     if (!fits) {
-        throw InvalidInput("scene: a position is more than 2147483647 voxels from the origin, which a .vdb cannot "
-                           "hold; use a larger --voxel-size or a smaller --distance or --offset");
+        throw InvalidInput(
+            "scene: a position is more than 2147483647 voxels from the origin, which a .vdb cannot "
+            "hold; use a larger --voxel-size or a smaller --distance or --offset");
     }
 }
 
@@ -79,7 +80,8 @@ PointDataGrid::Ptr makeGrid(const VoxelPositions& positions)
 {
     namespace points = openvdb::points;
     const auto identity = openvdb::math::Transform::createLinearTransform(1.0);
-    const auto index = openvdb::tools::createPointIndexGrid<openvdb::tools::PointIndexGrid>(positions, *identity);
+    const auto index =
+        openvdb::tools::createPointIndexGrid<openvdb::tools::PointIndexGrid>(positions, *identity);
     return points::createPointDataGrid<Codec, PointDataGrid>(*index, positions, *identity);
 }
 
@@ -117,7 +119,7 @@ void writeScene(const std::string& path, const Scene& scene, const SceneOptions&
     grid->setTransform(openvdb::math::Transform::createLinearTransform(scene.voxelSize));
     grid->setName("points");
     grid->insertMeta("suggested_radius", openvdb::DoubleMetadata(scene.suggestedRadius));
-    OutputStreamBuffer buffer(file);
+    OutputStreamBuffer buffer(file, [&](std::uint64_t) { checkCancel(progress); });
     std::ostream stream(&buffer);
     stream.exceptions(std::ios::badbit);
     const SeekableArchive archive;

@@ -11,8 +11,10 @@ namespace {
 
 // ---- spray --------------------------------------------------------------------------------------------------------
 
-constexpr double kStratum = 46;    // edge in h of the boxes that hold at most one piece each, so that none overlap
-constexpr double kSprayBox = 2450; // least edge in h of the whole box: 1225 radii of 2 h
+// Edge in h of the boxes that hold at most one piece each, so that none overlap.
+constexpr double kStratum = 46;
+// Least edge in h of the whole box: 1225 radii of 2 h.
+constexpr double kSprayBox = 2450;
 
 struct SprayPiece {
     enum Kind { kDroplet, kSheet, kBallistic } kind;
@@ -36,7 +38,9 @@ struct SprayShapes {
 // the rest ballistic: 12 to 27 lone particles in one stratum. A droplet's pitch of 0.78 to 1.36 h sets its density.
 SprayPiece drawSprayPiece(const Random& random, std::uint64_t p, const SprayShapes& shapes)
 {
-    const auto draw = [&](std::uint64_t k, double low, double high) { return random.uniform(8 * p + k, low, high); };
+    const auto draw = [&](std::uint64_t k, double low, double high) {
+        return random.uniform(8 * p + k, low, high);
+    };
     SprayPiece piece{};
     const double kind = draw(0, 0, 1);
     if (kind < 0.32) {
@@ -122,7 +126,8 @@ public:
         const double wanted = u * mCumulative.back();
         const auto after = std::upper_bound(mCumulative.begin() + 1, mCumulative.end() - 1, wanted);
         const double low = *(after - 1), high = *after;
-        return -6 + kWidth * (static_cast<double>(after - 1 - mCumulative.begin()) + (wanted - low) / (high - low));
+        return -6 + kWidth * (static_cast<double>(after - 1 - mCumulative.begin()) +
+                              (wanted - low) / (high - low));
     }
 
 private:
@@ -143,9 +148,9 @@ struct Cluster {
 std::vector<Cluster> drawClusters(std::uint64_t particles)
 {
     constexpr double kMeanLog = 3.12, kSigmaLog = 1.285;
-    constexpr double kMeanSize = 51;                 // a little under exp(kMeanLog + kSigmaLog^2 / 2)
-    constexpr double kGolden = 0.6180339887498949;   // multiples modulo 1 fill [0, 1) evenly
-    constexpr std::uint64_t kShuffle = 2654435761;   // a prime
+    constexpr double kMeanSize = 51;               // a little under exp(kMeanLog + kSigmaLog^2 / 2)
+    constexpr double kGolden = 0.6180339887498949; // multiples modulo 1 fill [0, 1) evenly
+    constexpr std::uint64_t kShuffle = 2654435761; // a prime
     const auto number = static_cast<std::uint64_t>(static_cast<double>(particles) / kMeanSize) + 1;
     const NormalQuantiles quantile;
     std::vector<Cluster> clusters;
@@ -205,7 +210,8 @@ void makeClusters(const Job& job)
         const std::size_t c = pieceOf(firsts, k);
         Vec3d p;
         for (std::uint64_t axis = 0; axis < 3; ++axis) {
-            p[axis] = where.uniform(3 * c + axis, 0, box) + clusters[c].spread * shape.normal(3 * index + axis);
+            p[axis] =
+                where.uniform(3 * c + axis, 0, box) + clusters[c].spread * shape.normal(3 * index + axis);
         }
         return p;
     });

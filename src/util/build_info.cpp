@@ -12,9 +12,9 @@ namespace vdb_nns {
 
 static std::string describeBuild()
 {
-    return std::string("vdb_nns " VDB_NNS_VERSION ", commit " VDB_NNS_GIT_HASH
-                       "\ncompiler: " VDB_NNS_COMPILER ", " VDB_NNS_BUILD_TYPE
-                       "\nlibraries: OpenVDB " VDB_NNS_OPENVDB_VERSION ", oneTBB " VDB_NNS_TBB_VERSION
+    return std::string("vdb_nns " VDB_NNS_VERSION ", commit " VDB_NNS_GIT_HASH "\ncompiler: " VDB_NNS_COMPILER
+                       ", " VDB_NNS_BUILD_TYPE "\nlibraries: OpenVDB " VDB_NNS_OPENVDB_VERSION
+                       ", oneTBB " VDB_NNS_TBB_VERSION
                        "\ninstruction sets: scalar, SSE4, AVX2, AVX-512; this processor: ") +
            simdLevelName(bestSimdLevel()) + "\nCUDA: " + cudaBuild() + " (" VDB_NNS_CUDA_WHY ")";
 }

@@ -15,7 +15,8 @@ public:
 
     void check() const
     {
-        if (mProgress && mProgress->cancelled()) throw Cancelled(std::string("cancelled during step ") + mStep);
+        if (mProgress && mProgress->cancelled())
+            throw Cancelled(std::string("cancelled during step ") + mStep);
     }
 
     void update(double fraction) const

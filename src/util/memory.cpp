@@ -47,7 +47,8 @@ PageBlock::PageBlock(std::size_t bytes)
     const std::size_t unit = huge ? kHugePage : 4096;
     mBytes = (bytes + unit - 1) / unit * unit;
     const std::size_t mapped = mBytes + (huge ? kHugePage : 0);
-    void* raw = mmap(nullptr, mapped, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+    void* raw =
+        mmap(nullptr, mapped, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
     if (raw == MAP_FAILED) {
         mBytes = 0;
         throw CapacityError("the system refused " + std::to_string(bytes) + " bytes of memory", bytes,

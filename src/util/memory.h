@@ -17,7 +17,8 @@ public:
     ~PageBlock();
     PageBlock(PageBlock&& other) noexcept
         : mData(std::exchange(other.mData, nullptr)), mBytes(std::exchange(other.mBytes, 0))
-    {}
+    {
+    }
     PageBlock& operator=(PageBlock&& other) noexcept
     {
         std::swap(mData, other.mData);

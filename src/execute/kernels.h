@@ -1,0 +1,41 @@
+// The functions that are compiled once for each instruction set (search_scalar.cpp, search_sse4.cpp, ...), and the choice
+// among them.
+#pragma once
+
+#include "vdb_nns/search_options.h"
+
+#include <cstddef>
+#include <cstdint>
+
+namespace vdb_nns {
+
+struct SearchContext;
+struct SearchTask;
+struct BandJudge;
+struct HaloScratch;
+struct RowSink;
+struct TaskStatistics;
+
+using SearchTaskFunction = void (*)(const SearchContext&, const SearchTask&, const BandJudge&, HaloScratch&,
+                                    RowSink&, TaskStatistics&);
+
+// Splits cell coordinates t into the number of the leaf and the coordinate about the leaf's centre. False when one of
+// them is not inside +-limit; NaN is not.
+using LocateAxisFunction = bool (*)(const double* t, std::size_t count, double limit, std::int32_t* leaf,
+                                    float* local);
+
+struct Kernels {
+    SearchTaskFunction
+        index; // rows of numbers, past the caches; the last ones of a thread wait in RowSink::tail
+    SearchTaskFunction visit; // rows of numbers, to be read at once
+    SearchTaskFunction mask;  // rows of membership bits
+    SearchTaskFunction count; // counts alone
+    LocateAxisFunction locateAxis;
+};
+
+extern const Kernels kKernelsScalar, kKernelsSse4, kKernelsAvx2, kKernelsAvx512;
+
+// kBest is the widest that this processor has.
+const Kernels& kernelsFor(SimdLevel level);
+
+} // namespace vdb_nns

@@ -1,0 +1,86 @@
+"""What the command line tests share: running the program, and files to run it on."""
+import collections
+import json
+import os
+import resource
+import shutil
+import subprocess
+import tempfile
+import unittest
+
+import numpy as np
+
+BINARY = None  # set by test_cli.py
+MAKE_FIXTURES = None
+Result = collections.namedtuple("Result", "code out err")
+_fixtures = None
+
+
+def run(*args, **options):
+    """Runs the program with these arguments; nothing that it prints is lost."""
+    done = subprocess.run([BINARY, *map(str, args)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, timeout=300,
+                          stdin=subprocess.DEVNULL, **options)
+    return Result(done.returncode, done.stdout.decode(), done.stderr.decode())
+
+
+def fixtures():
+    """The folder of make_fixtures, made once."""
+    global _fixtures
+    if _fixtures is None:
+        _fixtures = tempfile.TemporaryDirectory(prefix="vdb_nns_fixtures_")
+        subprocess.run([MAKE_FIXTURES, _fixtures.name], check=True)
+    return _fixtures.name
+
+
+def limit_file_size(size):
+    """For preexec_fn: files cannot grow past `size` bytes."""
+    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+
+class CliCase(unittest.TestCase):
+    def setUp(self):
+        self.folder = tempfile.mkdtemp(prefix="vdb_nns_cli_")
+        self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
+
+    def path(self, name):
+        return os.path.join(self.folder, name)
+
+    def fixture(self, name):
+        return os.path.join(fixtures(), name)
+
+    def npy(self, name, positions, dtype=np.float32):
+        np.save(self.path(name), np.asarray(positions, dtype=dtype))
+        return self.path(name)
+
+    def text(self, name, content):
+        with open(self.path(name), "w" if isinstance(content, str) else "wb") as file:
+            file.write(content)
+        return self.path(name)
+
+    def scene(self, name="block", count=2000, *more):
+        path = self.path(name + ".vdb")
+        self.succeeds("scene", name, "-n", count, "-o", path, "-q", *more)
+        return path
+
+    def succeeds(self, *args, **options):
+        done = run(*args, **options)
+        self.assertEqual(done.code, 0, f"{args}\n{done.out}\n{done.err}")
+        self.assertNotIn("error", done.err)
+        return done
+
+    def report(self, *args):
+        """The JSON report of a command: all of its stdout."""
+        return json.loads(self.succeeds(*args, "--json", "-").out)
+
+    def fails(self, code, *args, says=(), **options):
+        """Exit code, one clear error on stderr, nothing on stdout, and not a file more or less than before."""
+        before = sorted(os.listdir(self.folder))
+        done = run(*args, **options)
+        self.assertEqual(done.code, code, f"{args}\n{done.out}\n{done.err}")
+        self.assertEqual(done.out, "")
+        errors = [line for line in done.err.splitlines() if line.startswith("vdb_nns: error: ")]
+        self.assertEqual(len(errors), 1, done.err)
+        for word in [says] if isinstance(says, str) else says:
+            self.assertIn(word, errors[0])
+        self.assertEqual(sorted(os.listdir(self.folder)), before)
+        return done

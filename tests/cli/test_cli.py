@@ -1,0 +1,16 @@
+"""Tests of the command line: exit codes, stdout, stderr, files. No test here knows how the engine works.
+
+usage: test_cli.py VDB_NNS MAKE_FIXTURES [unittest's arguments, e.g. test_inputs]
+"""
+import sys
+import unittest
+
+import cli_case
+
+MODULES = ["test_usage", "test_inputs", "test_outputs", "test_lists", "test_interrupt", "test_verify", "test_bench"]
+
+if __name__ == "__main__":
+    if len(sys.argv) < 3:
+        sys.exit(__doc__)
+    cli_case.BINARY, cli_case.MAKE_FIXTURES = sys.argv[1:3]
+    unittest.main(module=None, argv=[sys.argv[0], *(sys.argv[3:] or MODULES)], verbosity=2)

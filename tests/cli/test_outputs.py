@@ -1,0 +1,153 @@
+"""Files that the program writes: whole or not at all, never over something by accident."""
+import json
+import os
+import shutil
+import subprocess
+
+import numpy as np
+
+from cli_case import CliCase, limit_file_size, run
+
+
+def without_uuid(path):
+    with open(path, "rb") as file:
+        data = file.read()
+    return data[:21] + data[57:]
+
+
+class Targets(CliCase):
+    def test_existing_file(self):
+        path, out = self.scene(), self.text("out.npz", "precious")
+        self.fails(2, "search", path, "-o", out, says=["out.npz", "force"])
+        with open(out) as file:
+            self.assertEqual(file.read(), "precious")
+        self.succeeds("search", path, "-o", out, "-f", "-q")
+        self.assertGreater(os.path.getsize(out), 1000)
+        self.fails(2, "scene", "block", "-n", "10", "-o", path, says="block.vdb")
+
+    def test_checks_come_before_work(self):
+        # The input does not exist either: that the output is named shows what was looked at first.
+        out = self.text("out.npz", "precious")
+        self.fails(2, "search", self.path("missing.vdb"), "-r", "1", "-o", out, says="out.npz")
+
+    def test_unknown_extension(self):
+        path = self.scene()
+        for name in ("x.csv", "x", "x.npz.gz", ".npz"):
+            self.fails(2, "search", path, "-o", self.path(name), says=name)
+
+    def test_not_a_regular_file(self):
+        path = self.scene()
+        os.mkdir(self.path("folder.npz"))
+        os.mkfifo(self.path("pipe.npz"))
+        os.symlink("/dev/null", self.path("null.npz"))
+        os.symlink("/dev/null", self.path("null.vdb"))
+        for name in ("folder.npz", "pipe.npz", "null.npz", "null.vdb"):
+            for force in ([], ["-f"]):
+                self.fails(2, "search", path, "-o", self.path(name), *force, says=name)
+        self.fails(2, "search", path, "--json", "/dev/null", "-f", says="/dev/null")
+        self.assertTrue(os.path.islink(self.path("null.npz")))
+        self.assertTrue(os.path.exists("/dev/null") and not os.path.isfile("/dev/null"))
+
+    def test_missing_folder(self):
+        self.fails(6, "search", self.scene(), "-o", self.path("no/such/x.npz"), says="x.npz")
+
+    def test_no_permission(self):
+        if os.geteuid() == 0:
+            self.skipTest("root may write everywhere")
+        path = self.scene()
+        os.mkdir(self.path("closed"), 0o500)
+        self.fails(6, "search", path, "-o", self.path("closed/x.npz"), says="x.npz")
+
+
+class NoSpace(CliCase):
+    def test_size_limit(self):
+        path = self.scene("block", 20000)
+        os.mkdir(self.path("out"))
+        for name in ("x.npz", "x.vdb"):
+            out = self.path("out/" + name)
+            self.fails(6, "search", path, "-o", out, says=name, preexec_fn=limit_file_size(100000))
+            self.assertEqual(os.listdir(self.path("out")), [])
+        self.fails(6, "search", path, "--json", self.path("out/x.json"), says="x.json",
+                   preexec_fn=limit_file_size(500))
+        self.fails(6, "scene", "block", "-n", "50k", "-o", self.path("out/s.vdb"), says="s.vdb",
+                   preexec_fn=limit_file_size(100000))
+        self.assertEqual(os.listdir(self.path("out")), [])
+
+    def test_size_limit_leaves_the_old_file(self):
+        path, out = self.scene("block", 20000), self.text("out.npz", "precious")
+        self.fails(6, "search", path, "-o", out, "-f", says="out.npz", preexec_fn=limit_file_size(100000))
+        with open(out) as file:
+            self.assertEqual(file.read(), "precious")
+        before = without_uuid(path)
+        self.fails(6, "search", path, "-o", path, "-f", says="block.vdb", preexec_fn=limit_file_size(100000))
+        self.assertEqual(without_uuid(path), before)
+
+    def test_disk_full(self):
+        disk = self.path("disk")
+        os.mkdir(disk)
+        mounted = os.geteuid() == 0 and subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", "size=64k", "none", disk], stderr=subprocess.DEVNULL).returncode == 0
+        if not mounted:
+            self.skipTest("cannot mount a small tmpfs here; the size limit stands in for it")
+        try:
+            path = self.scene("block", 20000)
+            for name in ("x.npz", "x.vdb"):
+                self.fails(6, "search", path, "-o", os.path.join(disk, name), says=name)
+                self.assertEqual(os.listdir(disk), [])
+        finally:
+            subprocess.run(["umount", disk], check=True)
+
+
+class VdbOutput(CliCase):
+    def test_counts_are_added(self):
+        path, out = self.scene(), self.path("out.vdb")
+        self.succeeds("search", path, "-o", out, "-q")
+        info = self.report("info", out)
+        self.assertIn({"name": "nns_count", "type": "int32", "codec": "null"}, info["attributes"])
+        before = self.report("info", path)
+        for key in ("points", "grid", "transform", "codec", "bbox", "suggested_radius"):
+            self.assertEqual(info[key], before[key])
+        self.assertEqual(self.report("search", out, "--checksum")["result"],
+                         self.report("search", path, "--checksum")["result"])
+
+    def test_existing_attribute(self):
+        path, once = self.scene(), self.path("once.vdb")
+        self.succeeds("search", path, "-o", once, "-q")
+        self.fails(2, "search", once, "-o", self.path("twice.vdb"), says=["nns_count", "--force"])
+        self.succeeds("search", once, "-o", self.path("twice.vdb"), "-f", "-q")
+        self.succeeds("search", once, "-o", self.path("other.vdb"), "--prefix", "my_", "-q")
+        names = [a["name"] for a in self.report("info", self.path("other.vdb"))["attributes"]]
+        self.assertEqual(sorted(names), ["P", "my_count", "nns_count"])
+
+    def test_output_is_the_input(self):
+        path, copy = self.scene(), self.path("copy.vdb")
+        shutil.copy(path, copy)
+        self.fails(2, "search", path, "-o", path, says="block.vdb")
+        self.succeeds("search", path, "-o", path, "-f", "-q")
+        self.succeeds("search", copy, "-o", self.path("out.vdb"), "-q")
+        self.assertEqual(without_uuid(path), without_uuid(self.path("out.vdb")))
+
+    def test_other_grids_are_kept(self):
+        out = self.path("out.vdb")
+        self.succeeds("search", self.fixture("two_grids.vdb"), "-g", "second", "-r", "1", "-o", out, "-q")
+        for grid, expected in (("first", ["P"]), ("second", ["P", "nns_count"])):
+            info = self.report("info", out, "-g", grid)
+            self.assertEqual([a["name"] for a in info["attributes"]], expected)
+
+    def test_same_bytes_for_any_thread_count(self):
+        path = self.scene("clusters", 3000)
+        files = []
+        for threads in ("1", "2"):
+            out = self.path(f"out{threads}.vdb")
+            self.succeeds("search", path, "-o", out, "-T", threads, "-q")
+            files.append(without_uuid(out))
+        self.assertEqual(files[0], files[1])
+
+    def test_several_outputs(self):
+        path = self.scene()
+        report = self.report("search", path, "-o", self.path("a.npz"), "-o", self.path("b.vdb"))
+        self.assertEqual(len(np.load(self.path("a.npz"))["indices"]), report["result"]["pairs"])
+        self.assertEqual(self.report("info", self.path("b.vdb"))["points"], 2000)
+        done = run("search", path, "-o", self.path("c.npz"))
+        self.assertRegex(done.out, r"(?m)^written +.*c\.npz$")
+        json.loads(run("search", path, "--json", "-", "-o", self.path("d.npz"), "-q").out)

@@ -1,0 +1,22 @@
+# An inline function that is compiled with wider instructions and not inlined becomes a weak symbol, and the linker may
+# take that copy for the whole program, which then dies on an older processor. So the files of one instruction set
+# define no weak function: they keep their helpers in anonymous namespaces and call no library templates.
+if(NOT CONFIG STREQUAL "Release" OR CXX_FLAGS MATCHES "sanitize")
+    message(STATUS "only an optimised build says something here")
+    return()
+endif()
+set(checked 0)
+foreach(object IN LISTS OBJECTS)
+    if(object MATCHES "search_(sse4|avx2|avx512)")
+        math(EXPR checked "${checked} + 1")
+        execute_process(COMMAND "${NM}" --defined-only -C "${object}" OUTPUT_VARIABLE symbols COMMAND_ERROR_IS_FATAL ANY)
+        string(REGEX MATCHALL "[0-9a-f]+ [Wu] [^\n]*" weak "${symbols}")
+        if(weak)
+            list(JOIN weak "\n  " weak)
+            message(SEND_ERROR "${object} defines weak functions:\n  ${weak}")
+        endif()
+    endif()
+endforeach()
+if(NOT checked EQUAL 3)
+    message(SEND_ERROR "found ${checked} of the 3 files with an instruction set of their own")
+endif()

@@ -1,0 +1,125 @@
+// Runs a fuzz target without libFuzzer: over seeds of its format, all their prefixes, and mutations of them from a fixed
+// random sequence, for some seconds. A crash, a sanitizer's report or any exception but InputError ends it.
+//
+//   replay npy|ply|xyz [SECONDS [FIRST_SEED]]
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <string>
+#include <vector>
+
+extern "C" int LLVMFuzzerTestOneInput(const unsigned char* data, std::size_t size);
+
+namespace {
+
+// SplitMix64 (Steele, Lea, Flood 2014): the same mutations on every machine.
+class Random {
+public:
+    explicit Random(std::uint64_t seed) : mState(seed) {}
+
+    std::uint64_t below(std::uint64_t limit)
+    {
+        std::uint64_t z = mState += 0x9E3779B97F4A7C15u;
+        z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
+        z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
+        return (z ^ (z >> 31)) % limit;
+    }
+
+private:
+    std::uint64_t mState;
+};
+
+std::string npySeed(const std::string& descr, const std::string& shape, std::size_t valueBytes)
+{
+    const std::string text = "{'descr': '" + descr + "', 'fortran_order': False, 'shape': " + shape + ", }\n";
+    return std::string("\x93NUMPY\x01\x00", 8) + static_cast<char>(text.size()) + '\0' + text +
+           std::string(valueBytes, '\x3f');
+}
+
+std::vector<std::string> seedsOf(const std::string& format)
+{
+    if (format == "npy") {
+        return {npySeed("<f4", "(2, 3)", 24), npySeed("<f8", "(2, 3)", 48), npySeed("<f4", "(0, 3)", 0),
+                npySeed("<f4", "(18446744073709551615, 3)", 24), npySeed(">f4", "(2, 3)", 24)};
+    }
+    if (format == "ply") {
+        const std::string elements =
+            " 1.0\ncomment c\nelement vertex 2\nproperty float x\nproperty double y\n"
+            "property float z\nproperty list uchar int l\nelement face 1\n"
+            "property list uchar int vertex_indices\nend_header\n";
+        const std::string rows = std::string(16, '\x3f') + '\1' + "abcd" + std::string(16, '\0') + '\0' +
+                                 '\3' + std::string(12, 'i');
+        return {"ply\nformat ascii" + elements + "1 2 3 1 7\n4e5 -6 nan 0\n3 0 1 2\n",
+                "ply\nformat binary_little_endian" + elements + rows,
+                "ply\nformat binary_big_endian" + elements + rows,
+                "ply\r\nformat ascii 1.0\r\nelement vertex 1\r\nproperty float x\r\nproperty float y\r\n"
+                "property float z\r\nend_header\r\n1 2 3\r\n"};
+    }
+    return {"1 2 3\n4 5 6\n", "# c\r\n 0.1\t+2 -3e400 x y\r\n\r\nnan inf -inf\n", "3\nH 1 2 3\n", "1 2\n",
+            "1e-400 2 3"};
+}
+
+std::string mutated(std::string text, const std::vector<std::string>& seeds, Random& random)
+{
+    static const char* const kTokens[] = {"0",       "-1",           "4294967295", "18446744073709551616",
+                                          "1e999",   "nan",          "list",       "property",
+                                          "element", "\n",           " ",          "(",
+                                          "'",       "end_header\n", "{",          "\xff\xff\xff\xff"};
+    for (std::uint64_t edits = 1 + random.below(6); edits > 0; --edits) {
+        const std::size_t place = random.below(text.size() + 1);
+        switch (random.below(5)) {
+        case 0:
+            text.insert(place, kTokens[random.below(sizeof kTokens / sizeof *kTokens)]);
+            break;
+        case 1:
+            text.erase(place, 1 + random.below(8));
+            break;
+        case 2:
+            if (place < text.size()) text[place] = static_cast<char>(random.below(256));
+            break;
+        case 3:
+            if (place < text.size()) text[place] = static_cast<char>(text[place] ^ (1 << random.below(8)));
+            break;
+        default: {
+            const std::string& other = seeds[random.below(seeds.size())];
+            text = text.substr(0, place) + other.substr(random.below(other.size() + 1));
+        }
+        }
+    }
+    return text;
+}
+
+void run(const std::string& input)
+{
+    // A copy of exactly that size, so that a read past the end is seen.
+    const std::vector<unsigned char> bytes(input.begin(), input.end());
+    LLVMFuzzerTestOneInput(bytes.data(), bytes.size());
+}
+
+} // namespace
+
+int main(int argc, char** argv)
+{
+    if (argc < 2) {
+        std::fprintf(stderr, "usage: replay npy|ply|xyz [SECONDS [FIRST_SEED]]\n");
+        return 2;
+    }
+    const std::vector<std::string> seeds = seedsOf(argv[1]);
+    const double seconds = argc > 2 ? std::atof(argv[2]) : 3;
+    std::uint64_t number = argc > 3 ? std::strtoull(argv[3], nullptr, 10) : 1;
+    for (const std::string& seed : seeds) {
+        for (std::size_t kept = 0; kept <= seed.size(); ++kept) run(seed.substr(0, kept));
+    }
+    const auto start = std::chrono::steady_clock::now();
+    std::uint64_t runs = 0;
+    for (; std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() < seconds;
+         ++runs) {
+        Random random(number++);
+        run(mutated(seeds[random.below(seeds.size())], seeds, random));
+    }
+    std::printf("%s: %llu mutations, the last one of seed %llu\n", argv[1],
+                static_cast<unsigned long long>(runs), static_cast<unsigned long long>(number - 1));
+    return 0;
+}

@@ -1,0 +1,6 @@
+# cmake -C tools/build/asan.cmake: AddressSanitizer and UndefinedBehaviorSanitizer; the first finding ends the test.
+# Without the device layer: the CUDA runtime is not instrumented.
+set(CMAKE_BUILD_TYPE RelWithDebInfo CACHE STRING "")
+set(CMAKE_CXX_FLAGS_RELWITHDEBINFO "-O1 -g1" CACHE STRING "")
+set(CMAKE_CXX_FLAGS "-fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer" CACHE STRING "")
+set(VDB_NNS_CUDA OFF CACHE STRING "")

@@ -1,0 +1,32 @@
+#!/usr/bin/env bash
+# The whole suite: installs what is missing, builds everything, and runs ctest. Builds into build/ (Release, g++),
+# build/asan (a selection under AddressSanitizer and UBSan) and build/clang (clang++, shared library).
+# A second run builds nothing twice. The last lines are ctest's own.
+set -euo pipefail
+. "$(dirname "${BASH_SOURCE[0]}")/build/steps.sh"
+started=$SECONDS
+took() { echo "   ($((SECONDS - started)) s since the start)"; }
+
+say "set-up"
+tools/setup.sh --tests
+
+say "build into build/: Release, g++"
+configure build -DCMAKE_BUILD_TYPE=Release -DVDB_NNS_BUILD_TESTS=ON -DVDB_NNS_BUILD_SAMPLES=ON
+cmake --build build
+took
+
+say "build into build/clang: clang++, warnings are errors, shared library"
+configure build/clang -C tools/build/clang.cmake
+cmake --build build/clang
+ctest --test-dir build/clang -L samples --output-on-failure --no-tests=error
+took
+
+say "build into build/asan: AddressSanitizer and UBSan; the selection of the suite"
+configure build/asan -C tools/build/asan.cmake
+cmake --build build/asan --target vdb_nns_asan_selection
+ASAN_OPTIONS=${ASAN_OPTIONS:-allocator_may_return_null=1} UBSAN_OPTIONS=${UBSAN_OPTIONS:-print_stacktrace=1} \
+    ctest --test-dir build/asan -L asan --output-on-failure --no-tests=error
+took
+
+say "the suite"
+ctest --test-dir build --output-on-failure --no-tests=error

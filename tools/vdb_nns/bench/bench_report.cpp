@@ -1,0 +1,141 @@
+#include "bench/bench_report.h"
+
+#include "machine.h"
+#include "report.h"
+#include "threads.h"
+#include "vdb_nns/version.h"
+
+#include <nlohmann/json.hpp>
+
+namespace vdb_nns::cli {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+// What follows `key` on its line of buildInfo(), up to a comma or the end.
+std::string buildFact(const std::string& key)
+{
+    const std::string info = buildInfo();
+    const std::size_t at = info.find(key);
+    if (at == std::string::npos) return "unknown";
+    const std::size_t begin = at + key.size();
+    return info.substr(begin, info.find_first_of(",\n", begin) - begin);
+}
+
+Json machineJson(const std::vector<BenchResult>& results)
+{
+    Json json;
+    json["version"] = VDB_NNS_VERSION;
+    json["hash"] = buildFact("commit ");
+    json["compiler"] = buildFact("compiler: ");
+    json["cpu"] = cpuName();
+    json["threads"] = results.empty() ? 0 : results.front().threads;
+    json["cores"] = tbb::info::default_concurrency();
+    json["memory_bytes"] = machineMemoryBytes();
+    return json;
+}
+
+Json resultJson(const BenchResult& result)
+{
+    Json json;
+    json["scene"] = result.scene;
+    json["method"] = result.method;
+    json["threads"] = result.threads;
+    json["points"] = result.points;
+    json["pairs"] = result.pairs;
+    json["radius"] = result.radius;
+    json["runs"] = result.runs;
+    json["seconds"] = {{"grid", result.gridSeconds},   {"search", result.searchSeconds},
+                       {"total", result.totalSeconds}, {"min", result.minSeconds},
+                       {"max", result.maxSeconds},     {"first", result.firstSeconds}};
+    json["memory"] = {{"peak_rss_bytes", result.peakBytes},
+                      {"structure_bytes", result.structureBytes},
+                      {"list_bytes", result.listBytes}};
+    const AccuracyReport& accuracy = result.accuracy;
+    json["accuracy"] = {{"checked_queries", accuracy.checkedQueries},
+                        {"missing", accuracy.missing},
+                        {"extra", accuracy.extra},
+                        {"asymmetric", accuracy.asymmetric ? Json(*accuracy.asymmetric) : Json(nullptr)},
+                        {"max_ulp", accuracy.maxUlp}};
+    return json;
+}
+
+// A name may hold a comma or a quote.
+std::string csvField(const std::string& text)
+{
+    std::string quoted = "\"";
+    for (const char c : text) {
+        if (c == '"') quoted += '"';
+        quoted += c;
+    }
+    return quoted + "\"";
+}
+
+unsigned long long wide(std::uint64_t value)
+{
+    return value;
+}
+
+} // namespace
+
+std::string benchJson(const std::vector<BenchResult>& results)
+{
+    Json json;
+    json["schema"] = 1;
+    json["version"] = VDB_NNS_VERSION;
+    json["command"] = "bench";
+    json["machine"] = machineJson(results);
+    json["results"] = Json::array();
+    for (const BenchResult& result : results) json["results"].push_back(resultJson(result));
+    json["estimators"] = Json::array();
+    return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+std::string benchCsv(const std::vector<BenchResult>& results)
+{
+    std::string text =
+        "scene,method,threads,points,pairs,radius,runs,grid_seconds,search_seconds,total_seconds,"
+        "min_seconds,max_seconds,first_seconds,peak_rss_bytes,structure_bytes,list_bytes,"
+        "checked_queries,missing,extra,asymmetric,max_ulp\n";
+    for (const BenchResult& r : results) {
+        text += csvField(r.scene) + "," + r.method;
+        text += format(",%d,%llu,%llu,%.17g,%llu", r.threads, wide(r.points), wide(r.pairs), r.radius,
+                       wide(r.runs));
+        text += format(",%.6f,%.6f,%.6f,%.6f,%.6f,%.6f", r.gridSeconds, r.searchSeconds, r.totalSeconds,
+                       r.minSeconds, r.maxSeconds, r.firstSeconds);
+        text += format(",%llu,%llu,%llu", wide(r.peakBytes), wide(r.structureBytes), wide(r.listBytes));
+        text += format(",%llu,%llu,%llu,", wide(r.accuracy.checkedQueries), wide(r.accuracy.missing),
+                       wide(r.accuracy.extra));
+        if (r.accuracy.asymmetric) text += std::to_string(*r.accuracy.asymmetric);
+        text += format(",%g\n", r.accuracy.maxUlp);
+    }
+    return text;
+}
+
+std::string benchText(const std::vector<BenchResult>& results)
+{
+    std::string text;
+    if (!results.empty()) {
+        const BenchResult& first = results.front();
+        text +=
+            format("scene %s, %llu particles, radius %.9g, %d threads, medians of %llu runs\n",
+                   first.scene.c_str(), wide(first.points), first.radius, first.threads, wide(first.runs));
+        text += "vdb_nns " VDB_NNS_VERSION ", commit " + buildFact("commit ") + ", " +
+                buildFact("compiler: ") + ", " + cpuName() + "\n";
+    }
+    text += format("%-12s %13s %9s %9s %9s %9s %9s %7s %9s %9s %s\n", "method", "pairs", "grid s", "search s",
+                   "total s", "min s", "max s", "ns/part", "grid MB", "lists MB", "wrong/checked");
+    for (const BenchResult& r : results) {
+        const double nanoseconds = r.points > 0 ? 1e9 * r.totalSeconds / static_cast<double>(r.points) : 0;
+        text +=
+            format("%-12s %13llu %9.4f %9.4f %9.4f %9.4f %9.4f %7.1f", r.method.c_str(), wide(r.pairs),
+                   r.gridSeconds, r.searchSeconds, r.totalSeconds, r.minSeconds, r.maxSeconds, nanoseconds);
+        text += format(" %9.1f %9.1f %llu/%llu\n", static_cast<double>(r.structureBytes) / 1e6,
+                       static_cast<double>(r.listBytes) / 1e6,
+                       wide(r.accuracy.missing + r.accuracy.extra + r.accuracy.asymmetric.value_or(0)),
+                       wide(r.accuracy.checkedQueries));
+    }
+    return text;
+}
+
+} // namespace vdb_nns::cli

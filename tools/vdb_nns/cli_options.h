@@ -1,0 +1,82 @@
+// Flags that several subcommands share, and how their values are read.
+#pragma once
+
+#include "progress_printer.h"
+#include "vdb_nns/particle_view.h"
+#include "vdb_nns/scene.h"
+#include "vdb_nns/search_options.h"
+
+#include <CLI/CLI.hpp>
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace vdb_nns::cli {
+
+// Readers of values. `flag` is named in the message of the InvalidInput that they throw.
+
+/// Bytes: KB MB GB TB are powers of 1000; KiB MiB GiB TiB and bare K M G T powers of 1024; no unit is bytes.
+std::uint64_t parseSize(const std::string& text, const std::string& flag);
+/// A whole number; k M G are powers of 1000: "4M", "65.6M".
+std::uint64_t parseCount(const std::string& text, const std::string& flag);
+/// The double nearest to the text; positive and finite.
+double parsePositive(const std::string& text, const std::string& flag);
+/// The double nearest to the text; finite.
+double parseNumber(const std::string& text, const std::string& flag);
+/// Cells that a radius spans, from `auto` or cell edge / radius: 1, 0.5 (1/2) or 0.33 (1/3).
+int parseReach(const std::string& text);
+
+/// Refuses an empty value: it is an unset variable in a script, not a wish for the default.
+const CLI::Validator& notEmpty();
+
+/// Flags of every subcommand.
+struct CommonFlags {
+    std::string threads = "0", progress = "auto", json;
+    bool force = false, quiet = false, verbose = false;
+};
+void addCommonFlags(CLI::App& app, CommonFlags& flags);
+int threadCount(const CommonFlags& flags); ///< 0: all
+ProgressMode progressMode(const CommonFlags& flags);
+bool jsonToStdout(const CommonFlags& flags);
+
+/// Which particles and which radius.
+struct InputFlags {
+    std::string path, grid, radius;
+};
+void addInputFlags(CLI::App& app, InputFlags& flags, bool withRadius);
+
+/// How the engine searches.
+struct EngineFlags {
+    std::string hostMemory, cellSize = "auto";
+};
+void addEngineFlags(CLI::App& app, EngineFlags& flags);
+SearchOptions searchOptions(const EngineFlags& flags, Progress* progress);
+
+/// Parameters of a scene.
+struct SceneFlags {
+    std::string count, seed = "1", spacing, radiusFactor, voxelSize, offset, distance, fraction;
+};
+void addSceneFlags(CLI::App& app, SceneFlags& flags);
+SceneOptions sceneOptions(const std::string& name, const SceneFlags& flags);
+
+/// The radius asked for, or the one that the particles suggest, which is said on stderr.
+/// @throws InvalidInput without either
+double chooseRadius(const std::string& text, const std::optional<double>& suggested, const std::string& path,
+                    bool quiet);
+
+/// The extension in lower case with its dot, e.g. ".vdb".
+std::string extensionOf(const std::string& path);
+
+/// Refuses a file of ours in the place of an input.
+/// @throws InvalidInput
+void checkNotInput(const std::string& output, const std::vector<std::string>& inputs);
+
+/// Refuses outputs that are one file, files that could not be written, and a report in the place of an input.
+/// @param paths of outputs; the file of --json is added.
+/// @throws InvalidInput, OutputExists, OutputError
+void checkOutputs(std::vector<std::string> paths, const std::vector<std::string>& inputs,
+                  const CommonFlags& flags);
+
+} // namespace vdb_nns::cli

@@ -1,0 +1,47 @@
+// Progress on stderr: one updating line on a terminal, `PROGRESS nn%` lines elsewhere when asked for.
+#pragma once
+
+#include "vdb_nns/progress.h"
+
+#include <atomic>
+#include <chrono>
+#include <mutex>
+#include <string>
+
+namespace vdb_nns::cli {
+
+enum class ProgressMode { kAuto, kAlways, kNever };
+
+/// A run is a sequence of phases, each a share of the whole; steps that the library names inside a phase move it
+/// forward only. Asks running steps to stop once SIGINT or SIGTERM came.
+class ProgressPrinter : public Progress {
+public:
+    explicit ProgressPrinter(ProgressMode mode);
+    ~ProgressPrinter() override;
+
+    /// Starts a phase that covers the fractions [from, to] of the whole run.
+    /// @throws Cancelled if a signal came
+    void begin(const char* phase, double from, double to);
+    /// The run is complete: reports 100 % and clears the line.
+    void finish();
+
+    void update(const char* step, double fraction) override;
+    bool cancelled() const override;
+
+private:
+    void print(int percent);
+
+    enum class Style { kSilent, kLine, kList };
+    Style mStyle;
+    std::atomic<double> mFrom{0}, mTo{1}; // share of the phase that runs
+    std::atomic<int> mPercent{-1};        // last one printed
+    std::mutex mMutex;                    // guards what follows
+    std::string mPhase;
+    bool mLineShown = false;
+    std::chrono::steady_clock::time_point mLastPrint{};
+};
+
+/// Throws Cancelled if SIGINT or SIGTERM came: called between steps.
+void throwIfStopped();
+
+} // namespace vdb_nns::cli

@@ -1,0 +1,151 @@
+// See zip_members.h.
+#include "zip_members.h"
+
+#include "vdb_nns/error.h"
+
+#include <boost/crc.hpp>
+
+#include <algorithm>
+#include <vector>
+
+namespace vdb_nns::cli {
+
+namespace {
+
+struct Entry {
+    std::string name;
+    std::uint32_t crc = 0;
+    std::uint64_t size = 0;
+    std::uint64_t localHeader = 0;
+};
+
+struct Directory {
+    std::uint64_t offset = 0, size = 0, entries = 0;
+};
+
+class ZipReader {
+public:
+    ZipReader(const std::string& path, ByteRange file) : mPath(path), mFile(file) {}
+
+    std::map<std::string, ByteRange> members() const
+    {
+        std::map<std::string, ByteRange> members;
+        const Directory directory = findDirectory();
+        std::uint64_t at = directory.offset;
+        for (std::uint64_t k = 0; k < directory.entries; ++k) {
+            const Entry entry = readEntry(at);
+            if (!members.emplace(entry.name, locate(entry)).second) fail("holds '" + entry.name + "' twice");
+        }
+        return members;
+    }
+
+private:
+    static constexpr std::uint64_t kEndBytes = 22, kLocatorBytes = 20;
+    static constexpr std::uint64_t kEntryBytes = 46, kLocalBytes = 30;
+
+    [[noreturn]] void fail(const std::string& what) const
+    {
+        throw InputError(mPath + ": not a file of neighbor lists: the ZIP " + what);
+    }
+
+    // Little-endian number of `bytes` bytes at `at`.
+    std::uint64_t number(std::uint64_t at, unsigned bytes) const
+    {
+        if (at > mFile.size || mFile.size - at < bytes) fail("is cut off");
+        std::uint64_t value = 0;
+        for (unsigned k = 0; k < bytes; ++k) value |= std::uint64_t(mFile.data[at + k]) << (8 * k);
+        return value;
+    }
+
+    std::string text(std::uint64_t at, std::uint64_t bytes) const
+    {
+        if (at > mFile.size || mFile.size - at < bytes) fail("is cut off");
+        return {reinterpret_cast<const char*>(mFile.data) + at, bytes};
+    }
+
+    // The end record stands last, before a comment of up to 65535 bytes whose length it gives.
+    Directory findDirectory() const
+    {
+        for (std::uint64_t comment = 0; comment <= 65535 && comment + kEndBytes <= mFile.size; ++comment) {
+            const std::uint64_t end = mFile.size - comment - kEndBytes;
+            if (number(end, 4) != 0x06054b50 || number(end + 20, 2) != comment) continue;
+            Directory directory{number(end + 16, 4), number(end + 12, 4), number(end + 10, 2)};
+            if (end >= kLocatorBytes && number(end - kLocatorBytes, 4) == 0x07064b50) {
+                const std::uint64_t end64 = number(end - kLocatorBytes + 8, 8);
+                if (number(end64, 4) != 0x06064b50) fail("has no ZIP64 end record where it should be");
+                directory = {number(end64 + 48, 8), number(end64 + 40, 8), number(end64 + 32, 8)};
+            }
+            // A directory entry has 46 bytes at least: a huge count cannot keep us busy.
+            if (directory.entries > directory.size / kEntryBytes)
+                fail("claims more members than its directory holds");
+            return directory;
+        }
+        fail("has no end record");
+    }
+
+    // Reads the directory entry at `at` and moves `at` to the next.
+    Entry readEntry(std::uint64_t& at) const
+    {
+        if (number(at, 4) != 0x02014b50) fail("has a damaged directory");
+        const std::uint64_t nameBytes = number(at + 28, 2), extraBytes = number(at + 30, 2);
+        Entry entry;
+        entry.name = text(at + kEntryBytes, nameBytes);
+        if (number(at + 8, 2) & 1) fail("member '" + entry.name + "' is encrypted");
+        if (number(at + 10, 2) != 0) {
+            fail("member '" + entry.name +
+                 "' is compressed; only stored ones are read, as scipy.sparse.save_npz("
+                 "..., compressed=False) writes them");
+        }
+        entry.crc = static_cast<std::uint32_t>(number(at + 16, 4));
+        std::uint64_t stored = number(at + 20, 4);
+        entry.size = number(at + 24, 4);
+        entry.localHeader = number(at + 42, 4);
+        widen(at + kEntryBytes + nameBytes, extraBytes, {&entry.size, &stored, &entry.localHeader});
+        if (stored != entry.size) fail("member '" + entry.name + "' has two sizes");
+        at += kEntryBytes + nameBytes + extraBytes + number(at + 32, 2);
+        return entry;
+    }
+
+    // Takes the values that are all ones in 32 bits from the ZIP64 extra field, where they stand in this order.
+    void widen(std::uint64_t extra, std::uint64_t bytes, const std::vector<std::uint64_t*>& values) const
+    {
+        const std::uint64_t end = extra + bytes;
+        while (extra + 4 <= end && number(extra, 2) != 1) extra += 4 + number(extra + 2, 2);
+        std::uint64_t at = extra + 4;
+        for (std::uint64_t* value : values) {
+            if (*value != 0xffffffff) continue;
+            if (at + 8 > end) fail("has a damaged ZIP64 field");
+            *value = number(at, 8);
+            at += 8;
+        }
+    }
+
+    ByteRange locate(const Entry& entry) const
+    {
+        const std::uint64_t at = entry.localHeader;
+        if (number(at, 4) != 0x04034b50) fail("member '" + entry.name + "' is not where the directory says");
+        const std::uint64_t nameBytes = number(at + 26, 2), extraBytes = number(at + 28, 2);
+        if (text(at + kLocalBytes, nameBytes) != entry.name)
+            fail("member '" + entry.name + "' has two names");
+        const std::uint64_t begin = at + kLocalBytes + nameBytes + extraBytes;
+        if (begin > mFile.size || mFile.size - begin < entry.size) {
+            fail("member '" + entry.name + "' reaches past the end of the file");
+        }
+        boost::crc_32_type crc;
+        crc.process_bytes(mFile.data + begin, entry.size);
+        if (crc.checksum() != entry.crc) fail("member '" + entry.name + "' is damaged: its CRC-32 is wrong");
+        return {mFile.data + begin, entry.size};
+    }
+
+    const std::string& mPath;
+    ByteRange mFile;
+};
+
+} // namespace
+
+std::map<std::string, ByteRange> zipMembers(const std::string& path, ByteRange file)
+{
+    return ZipReader(path, file).members();
+}
+
+} // namespace vdb_nns::cli
