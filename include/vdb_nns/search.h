@@ -78,6 +78,10 @@ std::vector<std::uint32_t> countNeighbors(const ParticleView& view, double radiu
 void visitNeighbors(const ParticleView& view, double radius, const NeighborVisitor& visitor,
                     const SearchOptions& options = {});
 
+/// Pairs of a query and a particle of the cells within reach of its own, itself included: what the search would test
+/// without any pruning, and the number of bits of all mask rows. Cost: one pass over the occupied cells.
+std::uint64_t countCandidateTests(const SparseGrid& grid);
+
 /// The widest instruction set of this processor that the search has code for.
 SimdLevel bestSimdLevel();
 const char* simdLevelName(SimdLevel level);

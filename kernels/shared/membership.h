@@ -20,6 +20,11 @@
 //    Their total times 1.001 is at least |s - (D - rho^2 - beta)| (second order terms are below 1e-6 of it). Flushed denormals
 //    add less than 1e-36.
 //
+//    In sparse leaves the score is s = fl(|v_c - v_q|^2 - far), coordinates about the leaf's centre, which carry less error
+//    than eta. The differences round once, the three products (if not fused) and sums once each: |s - (D - far)| <=
+//    7 u (D + far) up to second order. For D <= 2 far that is below 21 u far, less than the total above; for D > 2 far s
+//    is positive, as it should be.
+//
 // 3. Decision. If d <= rho then D <= (rho + delta)^2, so D - rho^2 <= 2 rho delta + delta^2; if d > rho then
 //    D - rho^2 > -(2 rho delta). With beta >= 2 rho delta + delta^2 + total:
 //      s >= 0          =>  d > rho        surely not a neighbor

@@ -46,6 +46,11 @@ void checkOptions(const SearchOptions& options)
     }
 }
 
+void checkGrid(const SparseGrid& grid)
+{
+    if (!grid.sharedData()) throw InvalidInput("a default-constructed SparseGrid cannot be searched: build one first");
+}
+
 struct Piece {
     std::uint32_t leaf, firstSlot, endSlot;
 };
@@ -96,9 +101,36 @@ void forEachTask(const SparseGridData& grid, const std::vector<Piece>& pieces, T
     });
 }
 
-std::uint64_t bytesOfRow(Encoding encoding, const TaskStatistics& statistics)
+// Calls f(queries, candidates) for each occupied cell of a leaf that has slots in [first, end): how many of its particles
+// are among them, and the particles of the cells in reach.
+template <typename F>
+void forEachCandidateCount(const SparseGridData& grid, const SearchTask& task, F&& f)
 {
-    return encoding == Encoding::kIndex ? statistics.pairs * 4 : statistics.candidateTests / 8;
+    const BlockView block = blockViewOf(grid);
+    LeafNeighborhood neighborhood;
+    std::copy_n(task.neighborhood, 27, neighborhood.leaf);
+    const LeafRecord& leaf = grid.leaves[task.leaf];
+    const std::uint32_t* cell = grid.cellStart.data() + leaf.firstCell;
+    for (int x = 0; x < 8; ++x) {
+        for (std::uint64_t word = leaf.occupancy[x]; word; word &= word - 1, ++cell) {
+            const std::uint32_t begin = std::max(cell[0], task.firstSlot), end = std::min(cell[1], task.endSlot);
+            if (begin >= end) continue;
+            const int bit = __builtin_ctzll(word);
+            std::uint64_t candidates = 0;
+            forEachCandidateRun(block, neighborhood, x, bit >> 3, bit & 7,
+                                [&](std::uint32_t runBegin, std::uint32_t runEnd) { candidates += runEnd - runBegin; });
+            f(end - begin, candidates);
+        }
+    }
+}
+
+std::uint64_t maskBytes(const SparseGridData& grid, const SearchTask& task)
+{
+    std::uint64_t words = 0;
+    forEachCandidateCount(grid, task, [&](std::uint64_t queries, std::uint64_t candidates) {
+        words += queries * ((candidates + 31) / 32);
+    });
+    return words * sizeof(std::uint32_t);
 }
 
 std::string gigabytes(std::uint64_t bytes)
@@ -160,11 +192,9 @@ struct SearchEngine::Impl {
         statistics.exactPairs = 0;
         for (const ThreadState& state : states) {
             sum.pairs += state.statistics.pairs;
-            sum.candidateTests += state.statistics.candidateTests;
             sum.bandPairs += state.statistics.bandPairs;
             statistics.exactPairs += state.exactPairs;
         }
-        statistics.candidateTests = sum.candidateTests;
         statistics.doublePairs = sum.bandPairs;
         return sum;
     }
@@ -187,10 +217,14 @@ void SearchEngine::Impl::checkCapacity(const Run& run, Encoding encoding, std::u
 {
     constexpr std::size_t kProbes = 32;
     const std::size_t particles = run.grid.particleCount();
-    const auto count = [&](ThreadState& state, const SearchTask& task) {
+    if (particles == 0) return;
+    const auto bytesOf = [&](ThreadState& state, const SearchTask& task) -> std::uint64_t {
+        if (encoding == Encoding::kMask) return maskBytes(run.grid, task);
+        const std::uint64_t before = state.statistics.pairs;
         state.sink.slotBase = 0;
         state.sink.rowCount = counts;
         runTask(run, run.kernels.count, state, task);
+        return (state.statistics.pairs - before) * sizeof(std::uint32_t);
     };
     std::vector<Piece> probes;
     std::size_t p = 0;
@@ -200,25 +234,21 @@ void SearchEngine::Impl::checkCapacity(const Run& run, Encoding encoding, std::u
         probes.push_back({run.pieces[p].leaf, slot, slot + 1});
     }
     ThreadState& here = states.local();
-    here.begin();
-    here.neighborhoods.resize(1);
+    double expected = 0;
     for (const Piece& probe : probes) {
         run.cancel.check();
-        run.grid.topology.neighborhoods({&run.grid.leafOrigins[probe.leaf], 1}, here.neighborhoods.data());
-        count(here, {probe.leaf, probe.firstSlot, probe.endSlot, here.neighborhoods[0].leaf});
+        LeafNeighborhood neighborhood;
+        run.grid.topology.neighborhoods({&run.grid.leafOrigins[probe.leaf], 1}, &neighborhood);
+        expected += static_cast<double>(
+            bytesOf(here, {probe.leaf, probe.firstSlot, probe.endSlot, neighborhood.leaf}));
     }
-    const double expected = static_cast<double>(bytesOfRow(encoding, here.statistics)) *
-                            static_cast<double>(particles) / static_cast<double>(probes.size());
+    expected *= static_cast<double>(particles) / static_cast<double>(probes.size());
     here.begin();
     if (expected < 0.5 * static_cast<double>(allowed)) return;
     std::atomic<std::uint64_t> total{0};
-    const std::uint64_t enough =
-        allowed > std::numeric_limits<std::uint64_t>::max() / 4 ? allowed : 4 * allowed;
+    const std::uint64_t enough = allowed > std::numeric_limits<std::uint64_t>::max() / 4 ? allowed : 4 * allowed;
     forEachTask(run.grid, run.pieces, states, run.cancel, [&](ThreadState& state, const SearchTask& task) {
-        if (total > enough) return;
-        const std::uint64_t before = bytesOfRow(encoding, state.statistics);
-        count(state, task);
-        total += bytesOfRow(encoding, state.statistics) - before;
+        if (total <= enough) total += bytesOf(state, task);
     });
     for (ThreadState& state : states) state.begin();
     if (total > allowed) throw listsDoNotFit(encoding, total <= enough, total, allowed);
@@ -334,6 +364,7 @@ SparseGrid SearchEngine::buildGrid(const ParticleView& view, double radius, cons
 
 NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& options)
 {
+    checkGrid(grid);
     checkOptions(options);
     const double start = now();
     // Of the engine's own last lists only the memory is used again, and only when nobody else reads them.
@@ -359,6 +390,7 @@ NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& 
 
 void SearchEngine::visit(const SparseGrid& grid, const NeighborVisitor& visitor, const SearchOptions& options)
 {
+    checkGrid(grid);
     checkOptions(options);
     const double start = now();
     const Impl::Run run(grid.data(), options);
@@ -371,6 +403,22 @@ void SearchEngine::visit(const SparseGrid& grid, const NeighborVisitor& visitor,
                 });
     mImpl->sumStatistics();
     mImpl->statistics.searchSeconds = now() - start;
+}
+
+std::uint64_t countCandidateTests(const SparseGrid& grid)
+{
+    if (grid.empty()) return 0;
+    std::atomic<std::uint64_t> tests{0};
+    ThreadStates states;
+    forEachTask(grid.data(), makePieces(grid.data()), states, CancelCheck(nullptr, "count"),
+                [&](ThreadState&, const SearchTask& task) {
+                    std::uint64_t sum = 0;
+                    forEachCandidateCount(grid.data(), task, [&](std::uint64_t queries, std::uint64_t candidates) {
+                        sum += queries * candidates;
+                    });
+                    tests += sum;
+                });
+    return tests;
 }
 
 NeighborLists SearchEngine::findNeighbors(const ParticleView& view, double radius,

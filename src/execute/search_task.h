@@ -71,11 +71,7 @@ struct HaloScratch {
 
 struct TaskStatistics {
     std::uint64_t pairs = 0;
-    std::uint64_t candidateTests = 0;
     std::uint64_t bandPairs = 0;
 };
-
-using SearchTaskFunction = void (*)(const SearchContext&, const SearchTask&, const BandJudge&, HaloScratch&,
-                                    RowSink&, TaskStatistics&);
 
 } // namespace vdb_nns

@@ -89,11 +89,22 @@ void Topology::neighborhoods(Span<const Vec3i> origins, LeafNeighborhood* out) c
     // Not registered with the tree: the topology cannot change while a grid is searched.
     openvdb::tree::ValueAccessor<const openvdb::MaskTree, false> accessor(mTree->tree);
     for (std::size_t i = 0; i < origins.size(); ++i) {
+        const openvdb::Coord origin = coordOf(origins[i]);
         std::uint32_t* leaf = out[i].leaf;
-        for (int x = -8; x <= 8; x += 8) {
-            for (int y = -8; y <= 8; y += 8) {
-                for (int z = -8; z <= 8; z += 8) {
-                    const Leaf* found = accessor.probeConstLeaf(coordOf(origins[i]).offsetBy(x, y, z));
+        // Two leaves in three have all their neighbors in their own 128^3 node: those are read from its table.
+        const auto* const lower = accessor.template probeConstNode<Lower>(origin);
+        const int x0 = origin.x() >> 3 & 15, y0 = origin.y() >> 3 & 15, z0 = origin.z() >> 3 & 15;
+        for (int x = -1; x <= 1; ++x) {
+            for (int y = -1; y <= 1; ++y) {
+                for (int z = -1; z <= 1; ++z) {
+                    const int nx = x0 + x, ny = y0 + y, nz = z0 + z;
+                    const Leaf* found;
+                    if (lower && !((nx | ny | nz) & ~15)) {
+                        const openvdb::Index n = nx << 8 | ny << 4 | nz;
+                        found = lower->isChildMaskOn(n) ? lower->getTable()[n].getChild() : nullptr;
+                    } else {
+                        found = accessor.probeConstLeaf(origin.offsetBy(8 * x, 8 * y, 8 * z));
+                    }
                     *leaf++ = found ? found->transientData() : kNoLeaf;
                 }
             }

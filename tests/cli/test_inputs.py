@@ -131,7 +131,7 @@ class Extremes(CliCase):
         self.assertEqual(self.report("search", path, "-r", "1")["result"]["pairs"], 0)
 
     def check_numbers(self, message, budget, lists):
-        """The bytes needed are more than the budget and no more than the lists; the bytes allowed are the rest of it."""
+        """Bytes needed: more than the budget, no more than the lists. Bytes allowed: the rest of the budget."""
         needed, allowed = (int(number) for number in re.findall(r"\b([0-9]+) bytes", message)[:2])
         self.assertTrue(budget < needed <= 1.1 * lists, message)
         self.assertTrue(0.9 * budget < allowed <= budget, message)
@@ -141,7 +141,9 @@ class Extremes(CliCase):
         done = self.fails(4, "search", path, "-r", "5", "--host-memory", "200MB", "-o", self.path("x.npz"),
                           says=["dense.npy", "--host-memory"])
         self.check_numbers(done.err, 200 * 10 ** 6, 30000 * 29999 * 4)
-        self.fails(4, "search", path, "-r", "5", "--host-memory", "10K", says="--host-memory")
+
+    def test_grid_that_cannot_fit(self):
+        self.fails(4, "search", self.scene(), "--host-memory", "10K", says="--host-memory")
 
     def test_nothing_one_and_tiles(self):
         for path, points in ((self.fixture("empty.vdb"), 0), (self.fixture("one.vdb"), 1),

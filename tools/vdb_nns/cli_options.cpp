@@ -1,5 +1,6 @@
 #include "cli_options.h"
 
+#include "report.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/point_file.h"
 
@@ -168,7 +169,9 @@ double chooseRadius(const std::string& text, const std::optional<double>& sugges
     if (!suggested) {
         throw InvalidInput(path + ": no radius: give -r RADIUS (the file has no suggested_radius)");
     }
-    if (!quiet) std::fprintf(stderr, "vdb_nns: %s suggests the radius %.17g\n", path.c_str(), *suggested);
+    if (!quiet)
+        std::fprintf(stderr, "vdb_nns: %s suggests the radius %s\n", path.c_str(),
+                     shortest(*suggested).c_str());
     return *suggested;
 }
 

@@ -12,8 +12,8 @@ namespace vdb_nns::cli {
 
 enum class ProgressMode { kAuto, kAlways, kNever };
 
-/// A run is a sequence of phases, each a share of the whole; steps that the library names inside a phase move it
-/// forward only. Asks running steps to stop once SIGINT or SIGTERM came.
+/// A run is a sequence of phases, each a share of the whole; steps that the library names inside a phase move
+/// it forward only. Asks running steps to stop once SIGINT or SIGTERM came.
 class ProgressPrinter : public Progress {
 public:
     explicit ProgressPrinter(ProgressMode mode);

@@ -6,6 +6,7 @@
 #include <Eigen/LU>
 #include <nlohmann/json.hpp>
 
+#include <charconv>
 #include <cstdarg>
 #include <cstdio>
 
@@ -171,6 +172,13 @@ const char* encodingName(Encoding encoding)
     return "none";
 }
 
+std::string shortest(double value)
+{
+    char text[32]; // 24 are enough for any double
+    const std::to_chars_result end = std::to_chars(text, text + sizeof text, value);
+    return std::string(text, end.ptr);
+}
+
 std::string checksumText(std::uint64_t checksum)
 {
     return format("%016llx", static_cast<unsigned long long>(checksum));
@@ -219,9 +227,9 @@ std::string searchReportText(const SearchReport& report)
     std::string text = line("particles", countText(report.points));
     const std::string voxels =
         report.radiusVoxels ? " (" + vectorText(*report.radiusVoxels) + " voxels)" : "";
-    text += line("radius", format("%.9g", report.radius) + voxels);
+    text += line("radius", shortest(report.radius) + voxels);
     text += line("pairs", countText(report.result.pairs));
-    text += line("neighbors", format("min %u  mean %.4g  max %u", report.result.min, report.result.mean,
+    text += line("neighbors", format("min %u  mean %.2f  max %u", report.result.min, report.result.mean,
                                      report.result.max));
     text += line("isolated", countText(report.result.isolated));
     text += line("skipped", countText(report.nonfinite) + " not finite");
@@ -286,7 +294,7 @@ std::string infoText(const PointFileInfo& info)
         text += line("attribute", a.name + " (" + a.type + ", " + a.codec + ")");
     }
     text += line("radius",
-                 info.suggestedRadius ? format("%.17g suggested", *info.suggestedRadius) : "none suggested");
+                 info.suggestedRadius ? shortest(*info.suggestedRadius) + " suggested" : "none suggested");
     return text;
 }
 

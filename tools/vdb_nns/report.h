@@ -59,6 +59,7 @@ Vec3d radiusInVoxels(const Matrix3& linear, double radius);
 
 const char* encodingName(Encoding encoding);
 std::string checksumText(std::uint64_t checksum); ///< 16 hex digits
+std::string shortest(double value);               ///< the fewest digits that read back as the same double
 std::string format(const char* pattern, ...) __attribute__((format(printf, 1, 2)));
 
 /// Sends a report where --json says: nowhere, to a file, or to stdout.

@@ -58,9 +58,9 @@ std::string sceneText(const SceneCommandFlags& flags, const SceneOptions& option
 {
     return format("scene       %s, seed %llu\n", options.name.c_str(),
                   static_cast<unsigned long long>(options.seed)) +
-           format("particles   %zu\n", scene.positions.size() / 3) +
-           format("radius      %.17g suggested\n", scene.suggestedRadius) +
-           format("voxel size  %.9g\n", scene.voxelSize) + "written     " + flags.output + "\n";
+           format("particles   %zu\n", scene.positions.size() / 3) + "radius      " +
+           shortest(scene.suggestedRadius) + " suggested\n" + format("voxel size  %.9g\n", scene.voxelSize) +
+           "written     " + flags.output + "\n";
 }
 
 int makeAndWrite(const SceneCommandFlags& flags, const SceneOptions& options)

@@ -267,7 +267,7 @@ void fillReport(const SearchEngine& engine, const SearchOptions& options, const 
     report.device.name = cpuName();
     if (options.hostMemoryBytes > 0) report.device.budgetBytes = options.hostMemoryBytes;
     report.encoding = lists.encoding();
-    report.candidateTests = engine.statistics().candidateTests;
+    report.candidateTests = countCandidateTests(grid);
     report.doublePairs = engine.statistics().doublePairs;
     report.exactPairs = engine.statistics().exactPairs;
     report.simd = simdLevelName(engine.statistics().simd);

@@ -21,8 +21,8 @@ void installSignalHandlers()
     struct sigaction stop = {};
     stop.sa_handler = rememberSignal;
     sigemptyset(&stop.sa_mask);
-    // Reset: the second one takes the default action. Targets cannot be left half written by it: they are temporary
-    // files until the rename.
+    // Reset: the second one takes the default action. Targets cannot be left half written by it: they are
+    // temporary files until the rename.
     stop.sa_flags = SA_RESTART | SA_RESETHAND;
     // Also where a shell started us in the background with SIGINT ignored: whoever sends it by hand means it.
     sigaction(SIGINT, &stop, nullptr);

@@ -14,8 +14,8 @@
 
 namespace vdb_nns::cli {
 
-/// A scene, and a file that is shuffled or handed out, is searched as an array of floats (x y z triples), so that other
-/// programs can be timed on exactly the same points. Any other file is searched as it is.
+/// A scene, and a file that is shuffled or handed out, is searched as an array of floats (x y z triples), so
+/// that other programs can be timed on exactly the same points. Any other file is searched as it is.
 struct BenchPoints {
     std::string scene;                                   ///< scene name, or the file's name
     std::shared_ptr<const std::vector<float>> positions; ///< null: the view is of the file

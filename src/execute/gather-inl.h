@@ -1,0 +1,143 @@
+// The candidates of one cell's queries: those of the cells in reach that are near the box of the queries, moved to its
+// centre. Internal linkage; see simd.h.
+#pragma once
+
+#include "execute/halo-inl.h"
+#include "execute/membership_simd-inl.h"
+
+namespace vdb_nns {
+namespace {
+
+// One cell's queries and the candidates that they keep.
+struct CellSearch {
+    std::uint32_t firstQuery, queries; // in the halo arrays
+    std::uint32_t candidates;          // of the cells in reach
+    std::uint32_t kept;
+    std::uint32_t self; // kept candidate that is the first query; the others follow
+};
+
+// Candidates of the cells in reach of the one whose lowest corner of reach, but for x and y, is `lowest`.
+inline std::uint32_t candidatesOf(int reach, const std::uint32_t* lowest)
+{
+    const int side = 8 + 2 * reach;
+    std::uint32_t candidates = 0;
+    for (int dx = -reach; dx <= reach; ++dx) {
+        for (int dy = -reach; dy <= reach; ++dy) {
+            const std::uint32_t* const run = lowest + (dx * side + dy) * side;
+            candidates += run[2 * reach + 1] - run[0];
+        }
+    }
+    return candidates;
+}
+
+inline QueryBox boxOf(const FilterBounds& bounds, const HaloScratch& halo, std::uint32_t first, std::uint32_t count)
+{
+    Simd::F center[3], half[3];
+    for (int k = 0; k < 3; ++k) {
+        const float* const in = floats(halo.halo() + k * halo.stride) + first;
+        Simd::F low, high;
+        if (count >= Simd::kLanes) {
+            low = high = Simd::load(in + count - Simd::kLanes);
+            for (std::uint32_t i = 0; i + Simd::kLanes < count; i += Simd::kLanes) {
+                const Simd::F v = Simd::load(in + i);
+                low = Simd::min(low, v);
+                high = Simd::max(high, v);
+            }
+        } else {
+            low = high = firstLanesOr(Simd::load(in), count, Simd::set(*in));
+        }
+        // The half size must cover each |fl(q - centre)|; rounding is monotonic, so the ends' own roundings do.
+        const float l = minOfLanes(low), h = maxOfLanes(high), c = 0.5f * (l + h), a = h - c, b = c - l;
+        center[k] = Simd::set(c);
+        half[k] = Simd::set(a > b ? a : b);
+    }
+    return {center[0], center[1], center[2], half[0], half[1], half[2], Simd::set(bounds.keep)};
+}
+
+// Bits one after the other into 64-bit words. Fewer than 64 at a time.
+struct BitWriter {
+    std::uint64_t* out;
+    std::uint64_t word = 0;
+    unsigned filled = 0;
+
+    void append(std::uint64_t bits, unsigned count)
+    {
+        word |= bits << filled;
+        filled += count;
+        if (filled >= 64) {
+            *out++ = word;
+            filled -= 64;
+            word = filled ? bits >> (count - filled) : 0;
+        }
+    }
+
+    void finish() { *out = word; }
+};
+
+// One vector of candidates at `p`, of which `valid` count: keeps those near the box, behind `kept`.
+template <bool kBits>
+inline char* gatherVector(const QueryBox& box, const char* p, std::size_t stride, Simd::Mask valid,
+                          unsigned count, char* kept, BitWriter& bits)
+{
+    const Simd::F px = Simd::sub(Simd::load(floats(p)), box.centerX);
+    const Simd::F py = Simd::sub(Simd::load(floats(p + stride)), box.centerY);
+    const Simd::F pz = Simd::sub(Simd::load(floats(p + 2 * stride)), box.centerZ);
+    const Simd::Mask mask = box.near(px, py, pz) & valid;
+    if constexpr (kBits) bits.append(mask, count);
+    const Simd::Order order = Simd::order(mask);
+    Simd::store(floats(kept), Simd::compress(px, order));
+    Simd::store(floats(kept + stride), Simd::compress(py, order));
+    Simd::store(floats(kept + 2 * stride), Simd::compress(pz, order));
+    Simd::store(floats(kept + 4 * stride), Simd::compress(squaredLength(px, py, pz), order));
+    Simd::store(integers(kept + 8 * stride), Simd::compress(Simd::load(integers(p + 4 * stride)), order));
+    return kept + static_cast<std::size_t>(__builtin_popcount(mask)) * sizeof(float);
+}
+
+// The candidates of one run of cells. Returns where the next kept one goes.
+template <bool kBits>
+inline char* gatherRun(const QueryBox& box, const char* halo, std::size_t stride, std::uint32_t begin,
+                       std::uint32_t end, char* kept, BitWriter& bits)
+{
+    const char* p = halo + std::size_t(begin) * sizeof(float);
+    std::uint32_t left = end - begin;
+    for (; left >= Simd::kLanes; left -= Simd::kLanes, p += Simd::kLanes * sizeof(float)) {
+        kept = gatherVector<kBits>(box, p, stride, kAllLanes, Simd::kLanes, kept, bits);
+    }
+    if (left > 0) kept = gatherVector<kBits>(box, p, stride, (1u << left) - 1, left, kept, bits);
+    return kept;
+}
+
+// `lowest` indexes the halo's cube at the lowest z of the cell's reach.
+template <bool kBits>
+void gather(const SearchContext& context, HaloScratch& scratch, const std::uint32_t* lowest, CellSearch& cell)
+{
+    const int reach = context.block.reach, side = 8 + 2 * reach;
+    const QueryBox box = boxOf(context.bounds, scratch, cell.firstQuery, cell.queries);
+    const char* const halo = scratch.halo();
+    const std::size_t stride = scratch.stride;
+    char* kept = scratch.kept();
+    BitWriter bits{scratch.keepBits()};
+    std::uint32_t candidates = 0;
+    for (int dx = -reach; dx <= reach; ++dx) {
+        for (int dy = -reach; dy <= reach; ++dy) {
+            const std::uint32_t* const run = lowest + (dx * side + dy) * side;
+            std::uint32_t begin = run[0];
+            const std::uint32_t end = run[2 * reach + 1];
+            candidates += end - begin;
+            if (dx == 0 && dy == 0) {
+                // In two parts, to learn where the first query stands among the kept.
+                kept = gatherRun<kBits>(box, halo, stride, begin, cell.firstQuery, kept, bits);
+                cell.self = static_cast<std::uint32_t>((kept - scratch.kept()) / sizeof(float));
+                begin = cell.firstQuery;
+            }
+            kept = gatherRun<kBits>(box, halo, stride, begin, end, kept, bits);
+        }
+    }
+    if constexpr (kBits) bits.finish();
+    Simd::store(floats(kept + 4 * stride), Simd::set(kFarAway));
+    cell.candidates = candidates;
+    cell.kept = static_cast<std::uint32_t>((kept - scratch.kept()) / sizeof(float));
+}
+
+} // namespace
+} // namespace vdb_nns
