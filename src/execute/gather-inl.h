@@ -30,7 +30,8 @@ inline std::uint32_t candidatesOf(int reach, const std::uint32_t* lowest)
     return candidates;
 }
 
-inline QueryBox boxOf(const FilterBounds& bounds, const HaloScratch& halo, std::uint32_t first, std::uint32_t count)
+inline QueryBox boxOf(const FilterBounds& bounds, const HaloScratch& halo, std::uint32_t first,
+                      std::uint32_t count)
 {
     Simd::F center[3], half[3];
     for (int k = 0; k < 3; ++k) {

@@ -102,8 +102,8 @@ struct HaloRun {
 
 // Lists the runs of the leaf and its halo in the order of fillHalo(). Returns their particles, or something larger than
 // `most` as soon as there are more.
-inline std::uint32_t listRuns(const BlockView& block, const LeafCells* leaves, std::uint32_t most, HaloRun* runs,
-                              std::uint32_t& runCount)
+inline std::uint32_t listRuns(const BlockView& block, const LeafCells* leaves, std::uint32_t most,
+                              HaloRun* runs, std::uint32_t& runCount)
 {
     constexpr std::uint64_t kEachByte = 0x0101010101010101u;
     const int reach = block.reach;
@@ -118,7 +118,8 @@ inline std::uint32_t listRuns(const BlockView& block, const LeafCells* leaves, s
         for (int ny = 0; ny < 3; ++ny) {
             const std::uint32_t column = nx * 9 + ny * 3;
             std::uint64_t words[3], any = 0;
-            for (int nz = 0; nz < 3; ++nz) any |= words[nz] = leaves[column + nz].word[w] & zMask[nz] & yMask[ny];
+            for (int nz = 0; nz < 3; ++nz)
+                any |= words[nz] = leaves[column + nz].word[w] & zMask[nz] & yMask[ny];
             while (any) {
                 const int y = __builtin_ctzll(any) & 56; // the first bit of its byte
                 const std::uint64_t row = std::uint64_t(255) << y;
@@ -141,7 +142,8 @@ inline std::uint32_t listRuns(const BlockView& block, const LeafCells* leaves, s
     return particles;
 }
 
-inline void copyRuns(const BlockView& block, const HaloRun* runs, std::uint32_t runCount, HaloScratch& scratch)
+inline void copyRuns(const BlockView& block, const HaloRun* runs, std::uint32_t runCount,
+                     HaloScratch& scratch)
 {
     char* to = scratch.halo();
     for (std::uint32_t r = 0; r < runCount; ++r) {

@@ -19,9 +19,12 @@ struct KeptFrame {
         Simd::F ax, ay, az, k;
 
         Query(const FilterBounds& bounds, const char* own, std::size_t stride)
-            : ax(Simd::set(-2 * *floats(own))), ay(Simd::set(-2 * *floats(own + stride))),
-              az(Simd::set(-2 * *floats(own + 2 * stride))), k(Simd::set(*floats(own + 4 * stride) - bounds.far))
-        {}
+            : ax(Simd::set(-2 * *floats(own))),
+              ay(Simd::set(-2 * *floats(own + stride))),
+              az(Simd::set(-2 * *floats(own + 2 * stride))),
+              k(Simd::set(*floats(own + 4 * stride) - bounds.far))
+        {
+        }
 
         Simd::F score(const char* p, std::size_t stride) const
         {
@@ -45,9 +48,12 @@ struct HaloFrame {
         Simd::F x, y, z, minusFar;
 
         Query(const FilterBounds& bounds, const char* own, std::size_t stride)
-            : x(Simd::set(*floats(own))), y(Simd::set(*floats(own + stride))),
-              z(Simd::set(*floats(own + 2 * stride))), minusFar(Simd::set(-bounds.far))
-        {}
+            : x(Simd::set(*floats(own))),
+              y(Simd::set(*floats(own + stride))),
+              z(Simd::set(*floats(own + 2 * stride))),
+              minusFar(Simd::set(-bounds.far))
+        {
+        }
 
         Simd::F score(const char* p, std::size_t stride) const
         {

@@ -9,9 +9,7 @@ namespace {
 
 // Rows of numbers, straight to the sink's memory.
 struct DirectRows {
-    DirectRows(const HaloScratch&, RowSink& rowSink) : sink(rowSink)
-    {
-    }
+    DirectRows(const HaloScratch&, RowSink& rowSink) : sink(rowSink) {}
 
     std::uint32_t* reserve(std::size_t entries)
     {

@@ -48,7 +48,8 @@ void checkOptions(const SearchOptions& options)
 
 void checkGrid(const SparseGrid& grid)
 {
-    if (!grid.sharedData()) throw InvalidInput("a default-constructed SparseGrid cannot be searched: build one first");
+    if (!grid.sharedData())
+        throw InvalidInput("a default-constructed SparseGrid cannot be searched: build one first");
 }
 
 struct Piece {
@@ -113,12 +114,14 @@ void forEachCandidateCount(const SparseGridData& grid, const SearchTask& task, F
     const std::uint32_t* cell = grid.cellStart.data() + leaf.firstCell;
     for (int x = 0; x < 8; ++x) {
         for (std::uint64_t word = leaf.occupancy[x]; word; word &= word - 1, ++cell) {
-            const std::uint32_t begin = std::max(cell[0], task.firstSlot), end = std::min(cell[1], task.endSlot);
+            const std::uint32_t begin = std::max(cell[0], task.firstSlot),
+                                end = std::min(cell[1], task.endSlot);
             if (begin >= end) continue;
             const int bit = __builtin_ctzll(word);
             std::uint64_t candidates = 0;
-            forEachCandidateRun(block, neighborhood, x, bit >> 3, bit & 7,
-                                [&](std::uint32_t runBegin, std::uint32_t runEnd) { candidates += runEnd - runBegin; });
+            forEachCandidateRun(
+                block, neighborhood, x, bit >> 3, bit & 7,
+                [&](std::uint32_t runBegin, std::uint32_t runEnd) { candidates += runEnd - runBegin; });
             f(end - begin, candidates);
         }
     }
@@ -246,7 +249,8 @@ void SearchEngine::Impl::checkCapacity(const Run& run, Encoding encoding, std::u
     here.begin();
     if (expected < 0.5 * static_cast<double>(allowed)) return;
     std::atomic<std::uint64_t> total{0};
-    const std::uint64_t enough = allowed > std::numeric_limits<std::uint64_t>::max() / 4 ? allowed : 4 * allowed;
+    const std::uint64_t enough =
+        allowed > std::numeric_limits<std::uint64_t>::max() / 4 ? allowed : 4 * allowed;
     forEachTask(run.grid, run.pieces, states, run.cancel, [&](ThreadState& state, const SearchTask& task) {
         if (total <= enough) total += bytesOf(state, task);
     });
@@ -413,9 +417,10 @@ std::uint64_t countCandidateTests(const SparseGrid& grid)
     forEachTask(grid.data(), makePieces(grid.data()), states, CancelCheck(nullptr, "count"),
                 [&](ThreadState&, const SearchTask& task) {
                     std::uint64_t sum = 0;
-                    forEachCandidateCount(grid.data(), task, [&](std::uint64_t queries, std::uint64_t candidates) {
-                        sum += queries * candidates;
-                    });
+                    forEachCandidateCount(grid.data(), task,
+                                          [&](std::uint64_t queries, std::uint64_t candidates) {
+                                              sum += queries * candidates;
+                                          });
                     tests += sum;
                 });
     return tests;

@@ -18,43 +18,53 @@ namespace {
 // many vectors a query as a dense cell's kept candidates, and saves the table of cells, boxes and gathering.
 constexpr std::uint32_t kSparseMost = 160;
 
-// Tests one query against the candidates of a frame and hands each vector's hits to emit(where the vector is, hits). With
-// kBand the judge decides the candidates in the band; without, the result tells whether there are any.
-template <bool kBand, typename Frame, typename Emit>
-inline bool testQuery(const FilterBounds& bounds, const Frame& frame, std::uint32_t self, const BandJudge& judge,
-                      TaskStatistics& statistics, Emit&& emit)
+// Tests one query against the candidates of a frame and hands each vector's hits to emit(where the vector is, hits).
+// True when some of them are in the band: then the row is to be made again, by testBand().
+template <typename Frame, typename Emit>
+inline bool testQuery(const FilterBounds& bounds, const Frame& frame, std::uint32_t self, Emit&& emit)
 {
     constexpr std::size_t kVector = Simd::kLanes * sizeof(float);
-    const char* p = frame.base;
     const std::size_t stride = frame.stride;
-    const char* const own = p + std::size_t(self) * sizeof(float);
-    const typename Frame::Query query(bounds, own, stride);
-    const Simd::I bandTop = Simd::set(bounds.bandTop);
-    Simd::I least = Simd::set(std::int32_t(0x7fffffff));
-    const auto step = [&](Simd::Mask without) {
-        const Simd::F score = query.score(p, stride);
-        Simd::Mask hits = Simd::movesign(score) & ~without;
-        if constexpr (kBand) {
-            Simd::Mask band = hits & Simd::lessEqual(Simd::bits(score), bandTop);
-            for (; band; band &= band - 1) {
-                const unsigned lane = static_cast<unsigned>(__builtin_ctz(band));
-                ++statistics.bandPairs;
-                const std::uint32_t i = integers(own + Frame::kNumber * stride)[0];
-                const std::uint32_t j = integers(p + Frame::kNumber * stride)[lane];
-                if (!judge.isNeighbor(judge.state, i, j)) hits &= ~(Simd::Mask(1) << lane);
-            }
-        } else {
-            least = Simd::min(least, Simd::bits(score));
-        }
-        emit(p, hits);
-        p += kVector;
-    };
+    const char* p = frame.base;
     const char* const selfVector = p + std::size_t(self / Simd::kLanes) * kVector;
     const char* const end = p + std::size_t(frame.count) * sizeof(float);
-    while (p < selfVector) step(0);
-    step(Simd::Mask(1) << self % Simd::kLanes);
-    while (p < end) step(0);
-    return !kBand && Simd::lessEqual(least, bandTop) != 0;
+    const typename Frame::Query query(bounds, p + std::size_t(self) * sizeof(float), stride);
+    Simd::I least = Simd::set(std::int32_t(0x7fffffff));
+    const auto step = [&] {
+        const Simd::F score = query.score(p, stride);
+        least = Simd::min(least, Simd::bits(score));
+        return Simd::movesign(score);
+    };
+    for (; p < selfVector; p += kVector) emit(p, step());
+    emit(p, step() & ~(Simd::Mask(1) << self % Simd::kLanes));
+    for (p += kVector; p < end; p += kVector) emit(p, step());
+    return Simd::lessEqual(least, Simd::set(bounds.bandTop)) != 0;
+}
+
+// testQuery() for a query that has candidates in the band: the judge decides those. Rare, and apart, so that it takes no
+// registers from the other.
+template <typename Frame, typename Emit>
+__attribute__((noinline)) void testBand(const FilterBounds& bounds, Frame frame, std::uint32_t self,
+                                        const BandJudge& judge, TaskStatistics& statistics, Emit emit)
+{
+    const char* const own = frame.base + std::size_t(self) * sizeof(float);
+    const typename Frame::Query query(bounds, own, frame.stride);
+    const std::uint32_t number = *integers(own + Frame::kNumber * frame.stride);
+    for (std::uint32_t j = 0; j < frame.count; j += Simd::kLanes) {
+        const char* const p = frame.base + std::size_t(j) * sizeof(float);
+        const Simd::F score = query.score(p, frame.stride);
+        Simd::Mask hits = Simd::movesign(score);
+        if (j == self - self % Simd::kLanes) hits &= ~(Simd::Mask(1) << self % Simd::kLanes);
+        Simd::Mask band = hits & Simd::lessEqual(Simd::bits(score), Simd::set(bounds.bandTop));
+        for (; band; band &= band - 1) {
+            const unsigned lane = static_cast<unsigned>(__builtin_ctz(band));
+            ++statistics.bandPairs;
+            if (!judge.isNeighbor(judge.state, number, integers(p + Frame::kNumber * frame.stride)[lane])) {
+                hits &= ~(Simd::Mask(1) << lane);
+            }
+        }
+        emit(p, hits);
+    }
 }
 
 // Queries that stand together: the first one's candidate, how many, and their slots.
@@ -63,68 +73,111 @@ struct Queries {
 };
 
 template <typename Target>
-struct IndexRows : Target {
+struct IndexRows {
     static constexpr bool kMasks = false;
 
-    IndexRows(const SearchContext&, const SearchTask&, const HaloScratch& scratch, RowSink& rowSink)
-        : Target(scratch, rowSink)
-    {}
+    IndexRows(const SearchContext& c, const SearchTask&, const HaloScratch& scratch, RowSink& rowSink)
+        : context(c), sink(rowSink), target(scratch, rowSink)
+    {
+    }
 
     template <typename Frame>
-    void search(const SearchContext& context, const Frame& frame, const Queries& queries, const BandJudge& judge,
+    void search(const Frame& frame, const Queries& queries, const BandJudge& judge,
                 TaskStatistics& statistics)
     {
-        RowSink& sink = this->sink;
+        const FilterBounds bounds = context.bounds;
         const std::size_t stride = frame.stride, most = frame.count + Simd::kLanes;
+        std::uint32_t** const rowBegin = sink.rowBegin + (queries.slot - sink.slotBase);
+        std::uint32_t* const rowCount = sink.rowCount + (queries.slot - sink.slotBase);
         std::uint64_t pairs = 0;
         for (std::uint32_t q = 0; q < queries.count; ++q) {
-            std::uint32_t* const begin = this->reserve(most);
+            std::uint32_t* const begin = target.reserve(most);
             std::uint32_t* out = begin;
-            const auto emit = [&](const char* p, Simd::Mask hits) {
+            const auto emit = [&out, stride](const char* p, Simd::Mask hits) {
                 const Simd::I numbers = Simd::load(integers(p + Frame::kNumber * stride));
                 Simd::store(out, Simd::compress(numbers, Simd::order(hits)));
                 out += __builtin_popcount(hits);
             };
-            if (testQuery<false>(context.bounds, frame, queries.self + q, judge, statistics, emit)) {
-                out = begin;
-                testQuery<true>(context.bounds, frame, queries.self + q, judge, statistics, emit);
+            std::uint32_t count;
+            if (testQuery(bounds, frame, queries.self + q, emit)) {
+                count = searchBand(frame, queries.self + q, judge, statistics, begin);
+            } else {
+                count = static_cast<std::uint32_t>(out - begin);
             }
-            const auto count = static_cast<std::uint32_t>(out - begin);
-            const std::uint32_t row = queries.slot + q - sink.slotBase;
-            sink.rowBegin[row] = this->commit(count);
-            sink.rowCount[row] = count;
+            rowBegin[q] = target.commit(count);
+            rowCount[q] = count;
             sink.nextSlot = queries.slot + q + 1;
             pairs += count;
         }
         statistics.pairs += pairs;
     }
+
+    void finish() { target.finish(); }
+
+private:
+    template <typename Frame>
+    std::uint32_t searchBand(const Frame& frame, std::uint32_t self, const BandJudge& judge,
+                             TaskStatistics& statistics, std::uint32_t* begin)
+    {
+        std::uint32_t* out = begin;
+        testBand(context.bounds, frame, self, judge, statistics,
+                 [&out, &frame](const char* p, Simd::Mask hits) {
+                     const Simd::I numbers = Simd::load(integers(p + Frame::kNumber * frame.stride));
+                     Simd::store(out, Simd::compress(numbers, Simd::order(hits)));
+                     out += __builtin_popcount(hits);
+                 });
+        return static_cast<std::uint32_t>(out - begin);
+    }
+
+    const SearchContext& context;
+    RowSink& sink;
+    Target target;
 };
 
 struct CountRows {
     static constexpr bool kMasks = false;
 
-    CountRows(const SearchContext&, const SearchTask&, const HaloScratch&, RowSink& rowSink) : sink(rowSink) {}
+    CountRows(const SearchContext& c, const SearchTask&, const HaloScratch&, RowSink& rowSink)
+        : context(c), sink(rowSink)
+    {
+    }
 
     template <typename Frame>
-    void search(const SearchContext& context, const Frame& frame, const Queries& queries, const BandJudge& judge,
+    void search(const Frame& frame, const Queries& queries, const BandJudge& judge,
                 TaskStatistics& statistics)
     {
+        const FilterBounds bounds = context.bounds;
+        std::uint32_t* const rowCount = sink.rowCount + (queries.slot - sink.slotBase);
+        std::uint64_t pairs = 0;
         for (std::uint32_t q = 0; q < queries.count; ++q) {
             std::uint32_t count = 0;
-            const auto emit = [&](const char*, Simd::Mask hits) {
+            const auto emit = [&count](const char*, Simd::Mask hits) {
                 count += static_cast<std::uint32_t>(__builtin_popcount(hits));
             };
-            if (testQuery<false>(context.bounds, frame, queries.self + q, judge, statistics, emit)) {
-                count = 0;
-                testQuery<true>(context.bounds, frame, queries.self + q, judge, statistics, emit);
+            if (testQuery(bounds, frame, queries.self + q, emit)) {
+                count = countBand(frame, queries.self + q, judge, statistics);
             }
-            sink.rowCount[queries.slot + q - sink.slotBase] = count;
-            statistics.pairs += count;
+            rowCount[q] = count;
+            pairs += count;
         }
+        statistics.pairs += pairs;
     }
 
     void finish() {}
 
+private:
+    template <typename Frame>
+    std::uint32_t countBand(const Frame& frame, std::uint32_t self, const BandJudge& judge,
+                            TaskStatistics& statistics)
+    {
+        std::uint32_t count = 0;
+        testBand(context.bounds, frame, self, judge, statistics, [&count](const char*, Simd::Mask hits) {
+            count += static_cast<std::uint32_t>(__builtin_popcount(hits));
+        });
+        return count;
+    }
+
+    const SearchContext& context;
     RowSink& sink;
 };
 
@@ -167,50 +220,64 @@ inline std::uint64_t deposit(std::uint64_t bits, std::uint64_t keep)
 struct MaskRows {
     static constexpr bool kMasks = true;
 
-    MaskRows(const SearchContext& context, const SearchTask& task, const HaloScratch& scratch, RowSink& rowSink)
-        : sink(rowSink), keepBits(scratch.keepBits()), hitBits(scratch.hitBits())
+    MaskRows(const SearchContext& c, const SearchTask& task, const HaloScratch& scratch, RowSink& rowSink)
+        : context(c), sink(rowSink), keepBits(scratch.keepBits()), hitBits(scratch.hitBits())
     {
         std::size_t words = 0;
-        forEachCell(context.block, task, scratch, [&](const std::uint32_t* lowest, const CellSearch& cell, std::uint32_t) {
-            words += std::size_t(cell.queries) * ((candidatesOf(context.block.reach, lowest) + 31) / 32);
-        });
+        forEachCell(context.block, task, scratch,
+                    [&](const std::uint32_t* lowest, const CellSearch& cell, std::uint32_t) {
+                        words += std::size_t(cell.queries) *
+                                 ((candidatesOf(context.block.reach, lowest) + 31) / 32);
+                    });
         sink.grow(sink, words + 2); // a row is written 64 bits at a time
         sink.taskBegin = sink.out;
     }
 
     // `candidates` are those of the cells in reach.
-    void search(const SearchContext& context, const KeptFrame& frame, const Queries& queries, std::uint32_t candidates,
+    void search(const KeptFrame& frame, const Queries& queries, std::uint32_t candidates,
                 const BandJudge& judge, TaskStatistics& statistics)
     {
+        const FilterBounds bounds = context.bounds;
         const std::uint32_t rowWords = (candidates + 31) / 32;
-        for (std::uint32_t q = 0; q < queries.count; ++q) {
+        std::uint32_t* const rowCount = sink.rowCount + (queries.slot - sink.slotBase);
+        std::uint32_t* out = sink.out;
+        std::uint64_t pairs = 0;
+        for (std::uint32_t q = 0; q < queries.count; ++q, out += rowWords) {
             BitWriter bits{hitBits};
-            const auto emit = [&](const char*, Simd::Mask hits) { bits.append(hits, Simd::kLanes); };
-            if (testQuery<false>(context.bounds, frame, queries.self + q, judge, statistics, emit)) {
-                bits = BitWriter{hitBits};
-                testQuery<true>(context.bounds, frame, queries.self + q, judge, statistics, emit);
+            const auto emit = [&bits](const char*, Simd::Mask hits) { bits.append(hits, Simd::kLanes); };
+            if (testQuery(bounds, frame, queries.self + q, emit)) {
+                searchBand(frame, queries.self + q, judge, statistics);
+            } else {
+                bits.finish();
             }
-            bits.finish();
-            const std::uint32_t count = writeRow(rowWords, sink.out);
-            sink.rowCount[queries.slot + q - sink.slotBase] = count;
-            sink.out += rowWords;
-            statistics.pairs += count;
+            const std::uint32_t count = writeRow(rowWords, out);
+            rowCount[q] = count;
+            pairs += count;
         }
+        sink.out = out;
+        statistics.pairs += pairs;
     }
 
     void finish() {}
 
-    RowSink& sink;
-
 private:
+    void searchBand(const KeptFrame& frame, std::uint32_t self, const BandJudge& judge,
+                    TaskStatistics& statistics)
+    {
+        BitWriter bits{hitBits};
+        testBand(context.bounds, frame, self, judge, statistics,
+                 [&bits](const char*, Simd::Mask hits) { bits.append(hits, Simd::kLanes); });
+        bits.finish();
+    }
+
     std::uint32_t writeRow(std::uint32_t rowWords, std::uint32_t* row) const
     {
         std::uint32_t hit = 0, count = 0;
         for (std::uint32_t w = 0; w < rowWords; w += 2) {
             const std::uint64_t keep = keepBits[w / 2];
             // Two shifts, as one by 64 would be none.
-            const std::uint64_t bits =
-                hitBits[hit >> 6] >> (hit & 63) | hitBits[(hit >> 6) + 1] << 1 << (63 - (hit & 63));
+            const std::uint64_t bits = hitBits[hit >> 6] >> (hit & 63) | hitBits[(hit >> 6) + 1]
+                                                                             << 1 << (63 - (hit & 63));
             hit += static_cast<std::uint32_t>(__builtin_popcountll(keep));
             const std::uint64_t out = deposit(bits, keep);
             count += static_cast<std::uint32_t>(__builtin_popcountll(out));
@@ -219,14 +286,16 @@ private:
         return count;
     }
 
+    const SearchContext& context;
+    RowSink& sink;
     const std::uint64_t* keepBits;
     std::uint64_t* hitBits;
 };
 
 // Searches a sparse leaf. False, and nothing done, when it is not sparse.
 template <typename Rows>
-bool searchSparse(const SearchContext& context, const SearchTask& task, const LeafCells* leaves, const BandJudge& judge,
-                  HaloScratch& scratch, RowSink& sink, TaskStatistics& statistics)
+bool searchSparse(const SearchContext& context, const SearchTask& task, const LeafCells* leaves,
+                  const BandJudge& judge, HaloScratch& scratch, RowSink& sink, TaskStatistics& statistics)
 {
     if (task.endSlot - task.firstSlot > kSparseMost) return false;
     HaloRun runs[kSparseMost + 1]; // each holds a particle at least
@@ -242,7 +311,7 @@ bool searchSparse(const SearchContext& context, const SearchTask& task, const Le
         const std::uint32_t begin = runs[r].begin > task.firstSlot ? runs[r].begin : task.firstSlot;
         const std::uint32_t end = runs[r].end < task.endSlot ? runs[r].end : task.endSlot;
         if (begin < end) {
-            rows.search(context, frame, {at + (begin - runs[r].begin), end - begin, begin}, judge, statistics);
+            rows.search(frame, {at + (begin - runs[r].begin), end - begin, begin}, judge, statistics);
         }
     }
     rows.finish();
@@ -250,8 +319,8 @@ bool searchSparse(const SearchContext& context, const SearchTask& task, const Le
 }
 
 template <typename Rows>
-void searchTask(const SearchContext& context, const SearchTask& task, const BandJudge& judge, HaloScratch& scratch,
-                RowSink& sink, TaskStatistics& statistics)
+void searchTask(const SearchContext& context, const SearchTask& task, const BandJudge& judge,
+                HaloScratch& scratch, RowSink& sink, TaskStatistics& statistics)
 {
     LeafCells leaves[27];
     scratch.reserve(scratch, readLeaves(context.block, task.neighborhood, leaves));
@@ -266,9 +335,9 @@ void searchTask(const SearchContext& context, const SearchTask& task, const Band
                     const KeptFrame frame{scratch.kept(), scratch.stride, cell.kept};
                     const Queries queries{cell.self, cell.queries, firstSlot};
                     if constexpr (Rows::kMasks) {
-                        rows.search(context, frame, queries, cell.candidates, judge, statistics);
+                        rows.search(frame, queries, cell.candidates, judge, statistics);
                     } else {
-                        rows.search(context, frame, queries, judge, statistics);
+                        rows.search(frame, queries, judge, statistics);
                     }
                 });
     rows.finish();

@@ -1,5 +1,5 @@
-// The bytes around the arrays of an .npz file. Formats: PKWARE's APPNOTE.TXT 6.3 (4.3.7 local header, 4.3.12 directory,
-// 4.3.14 to 4.3.16 its end, 4.5.3 ZIP64) and numpy.lib.format (the .npy header).
+// The bytes around the arrays of an .npz file. Formats: PKWARE's APPNOTE.TXT 6.3 (4.3.7 local header, 4.3.12
+// directory, 4.3.14 to 4.3.16 its end, 4.5.3 ZIP64) and numpy.lib.format (the .npy header).
 #include "output/npz_writer.h"
 
 namespace vdb_nns {

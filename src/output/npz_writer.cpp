@@ -1,5 +1,6 @@
-// Fills an .npz file with lists: blocks of rows are sorted by all threads while the block before is written. Memory is two
-// blocks, whatever the lists' size; every value's place is known in advance, so the arrays grow side by side.
+// Fills an .npz file with lists: blocks of rows are sorted by all threads while the block before is written.
+// Memory is two blocks, whatever the lists' size; every value's place is known in advance, so the arrays grow
+// side by side.
 #include "output/npz_writer.h"
 
 #include "output/output_file.h"

@@ -1,5 +1,5 @@
-// How lists become an .npz file: the layout of the ZIP, and the rows that fill it. Knows no particles and no grid, so that
-// tests can lay out files of any size and feed rows of their own.
+// How lists become an .npz file: the layout of the ZIP, and the rows that fill it. Knows no particles and no
+// grid, so that tests can lay out files of any size and feed rows of their own.
 #pragma once
 
 #include "vdb_nns/point_file.h"

@@ -122,7 +122,8 @@ OutputFile::OutputFile(const std::string& path, bool overwrite) : mPath(path), m
     const Target target = resolveTarget(path, overwrite);
     mTarget = target.path;
     createTemporary(target.mode.value_or(0666));
-    // A new file takes the process's umask, a replaced one keeps the permissions it had, as far as that is allowed.
+    // A new file takes the process's umask, a replaced one keeps the permissions it had, as far as that is
+    // allowed.
     if (target.mode && ::fchmod(mDescriptor, *target.mode) != 0 && errno != EPERM) {
         const int error = errno;
         ::close(mDescriptor);

@@ -1,9 +1,10 @@
-// A file that appears whole or not at all: written under a temporary name beside its target, renamed when it is done.
-// Knows nothing of formats, lists or OpenVDB.
+// A file that appears whole or not at all: written under a temporary name beside its target, renamed when it
+// is done. Knows nothing of formats, lists or OpenVDB.
 //
-// A process that may run into a file size limit must ignore SIGXFSZ (the command line program does): the write then
-// fails with EFBIG and becomes an OutputError. The library changes no signal dispositions. On SIGINT and SIGTERM a
-// caller lets its Progress ask to stop; `Cancelled` unwinds through here and the temporary is removed.
+// A process that may run into a file size limit must ignore SIGXFSZ (the command line program does): the
+// write then fails with EFBIG and becomes an OutputError. The library changes no signal dispositions. On
+// SIGINT and SIGTERM a caller lets its Progress ask to stop; `Cancelled` unwinds through here and the
+// temporary is removed.
 #pragma once
 
 #include <cstddef>
@@ -17,8 +18,8 @@ namespace vdb_nns {
 
 class OutputFile {
 public:
-    // Checks the target as checkOutput() does and creates the temporary. A symbolic link to a regular file is followed:
-    // the file it leads to is replaced, the link stays.
+    // Checks the target as checkOutput() does and creates the temporary. A symbolic link to a regular file is
+    // followed: the file it leads to is replaced, the link stays.
     // @throws OutputExists, OutputError
     OutputFile(const std::string& path, bool overwrite);
 
@@ -49,8 +50,9 @@ private:
     int mDescriptor = -1;
 };
 
-// Buffers an OutputFile for writers that want a seekable std::ostream. Errors leave as OutputError through a stream
-// whose exceptions() hold badbit, and so does what `onWrite`, told the bytes that were written so far, throws.
+// Buffers an OutputFile for writers that want a seekable std::ostream. Errors leave as OutputError through a
+// stream whose exceptions() hold badbit, and so does what `onWrite`, told the bytes that were written so far,
+// throws.
 class OutputStreamBuffer final : public std::streambuf {
 public:
     OutputStreamBuffer(OutputFile& file, std::function<void(std::uint64_t)> onWrite);

@@ -1,7 +1,8 @@
-// Readers of the array formats: each turns the bytes of a whole file into positions, or throws an InputError that names
-// the file, the place, the number that broke and the next step. They work on memory only (fuzz targets call them), trust
-// no number of a header before it is held against the size of the file, and allocate nothing larger than a small multiple
-// of it. NaN and infinite coordinates are legal data. Know nothing of OpenVDB.
+// Readers of the array formats: each turns the bytes of a whole file into positions, or throws an InputError
+// that names the file, the place, the number that broke and the next step. They work on memory only (fuzz
+// targets call them), trust no number of a header before it is held against the size of the file, and
+// allocate nothing larger than a small multiple of it. NaN and infinite coordinates are legal data. Know
+// nothing of OpenVDB.
 #pragma once
 
 #include "vdb_nns/types.h"
@@ -33,16 +34,18 @@ struct NpyLayout {
     bool isDouble = false;
 };
 
-// NumPy's format, versions 1 to 3: little-endian f4 or f8, C order, shape (N, 3), and not a byte more or less.
-// https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html
+// NumPy's format, versions 1 to 3: little-endian f4 or f8, C order, shape (N, 3), and not a byte more or
+// less. https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html
 NpyLayout parseNpy(const std::string& path, FileBytes bytes);
 
-// The Stanford polygon format: ascii, binary little-endian or big-endian; x y z of element `vertex` as float or double.
-// Other elements and properties, lists too, are walked over. http://paulbourke.net/dataformats/ply/
+// The Stanford polygon format: ascii, binary little-endian or big-endian; x y z of element `vertex` as float
+// or double. Other elements and properties, lists too, are walked over.
+// http://paulbourke.net/dataformats/ply/
 PositionArray parsePly(const std::string& path, FileBytes bytes);
 
-// Text, three numbers a line, more columns ignored; `#` starts a comment; blank lines are ignored. A first line of one
-// integer (a particle count, as chemistry's .xyz has) is refused, since what follows it is then no list of positions.
+// Text, three numbers a line, more columns ignored; `#` starts a comment; blank lines are ignored. A first
+// line of one integer (a particle count, as chemistry's .xyz has) is refused, since what follows it is then
+// no list of positions.
 PositionArray parseXyz(const std::string& path, FileBytes bytes);
 
 } // namespace vdb_nns

@@ -21,7 +21,8 @@ struct Header {
     std::vector<std::uint64_t> shape;
 };
 
-// A reader of the one Python literal that a header may hold: {'descr': '<f4', 'fortran_order': False, 'shape': (4, 3), }
+// A reader of the one Python literal that a header may hold: {'descr': '<f4', 'fortran_order': False,
+// 'shape': (4, 3), }
 class HeaderParser {
 public:
     HeaderParser(const std::string& path, FileBytes text, std::size_t fileOffset)

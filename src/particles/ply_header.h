@@ -1,5 +1,5 @@
-// What the header of a .ply file says, and its reader: the elements of the file and the properties of each. A header of
-// its own for the sake of its length; ply_reader.cpp is its only user.
+// What the header of a .ply file says, and its reader: the elements of the file and the properties of each. A
+// header of its own for the sake of its length; ply_reader.cpp is its only user.
 #pragma once
 
 #include "particles/array_readers.h"
@@ -64,7 +64,8 @@ struct PlyElement {
     std::uint64_t count = 0;
     std::vector<PlyProperty> properties;
 
-    // The least that a row can take in the file: lists may be empty; text has a digit and a separator a value.
+    // The least that a row can take in the file: lists may be empty; text has a digit and a separator a
+    // value.
     std::uint64_t minRowBytes(PlyFormat format) const
     {
         std::uint64_t bytes = 0;

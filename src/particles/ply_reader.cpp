@@ -1,4 +1,5 @@
-// The .ply reader. A header names elements and their properties; the rows follow as text or as packed binary values.
+// The .ply reader. A header names elements and their properties; the rows follow as text or as packed binary
+// values.
 #include "particles/ply_header.h"
 
 #include <cstdlib>
@@ -249,7 +250,8 @@ PositionArray readBody(Values& values, const PlyHeader& header, const PlyElement
     return result;
 }
 
-// No count may promise more rows than the file has room for, so that no later product or allocation can be too large.
+// No count may promise more rows than the file has room for, so that no later product or allocation can be
+// too large.
 void checkCounts(const std::string& path, const PlyHeader& header, std::size_t fileBytes)
 {
     // The last value of a text needs no separator behind it.

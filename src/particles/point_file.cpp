@@ -42,7 +42,8 @@ struct ArrayStorage {
     ParticleView view;
 };
 
-// One read call each: large enough for the disk, small enough that threads share the copy out of the page cache.
+// One read call each: large enough for the disk, small enough that threads share the copy out of the page
+// cache.
 constexpr std::size_t kReadBytes = std::size_t(8) << 20;
 // Positions decoded at once by a task of info(): 3 arrays of 32 KB.
 constexpr std::size_t kInfoBlock = 4096;

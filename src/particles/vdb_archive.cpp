@@ -1,10 +1,12 @@
-// Walks the directory of a .vdb file. All numbers are little-endian; a string is a 32-bit length and its bytes:
+// Walks the directory of a .vdb file. All numbers are little-endian; a string is a 32-bit length and its
+// bytes:
 //
 //   magic (8 bytes), version, library major, library minor (4 each), has-offsets (1), UUID (36 characters)
 //   metadata: count (4), then name, type name, size (4) and value of each
 //   number of grids (4)
 //   each grid: unique name, type, instance parent, then grid position, block position, end position (8 each)
-//     at the grid position: compression flags (4), metadata, transform, tree; the next grid starts at the end position
+//     at the grid position: compression flags (4), metadata, transform, tree
+//     at the end position: the next grid
 #include "particles/vdb_archive.h"
 
 #include "vdb_nns/error.h"

@@ -1,6 +1,6 @@
-// The directory of a .vdb file, read from its bytes: which grids it holds, in which order, and where each of them ends.
-// OpenVDB tells none of that, and a file that was cut reads "successfully" where the missing bytes belong to values: a
-// short read only sets a flag of its stream. Knows nothing of grids in memory.
+// The directory of a .vdb file, read from its bytes: which grids it holds, in which order, and where each of
+// them ends. OpenVDB tells none of that, and a file that was cut reads "successfully" where the missing bytes
+// belong to values: a short read only sets a flag of its stream. Knows nothing of grids in memory.
 #pragma once
 
 #include <cstdint>
@@ -18,8 +18,8 @@ struct VdbEntry {
 };
 
 struct VdbDirectory {
-    // Files written as a stream have no offsets: then `entries` stays empty, and only reading all of it tells whether it
-    // is whole.
+    // Files written as a stream have no offsets: then `entries` stays empty, and only reading all of it tells
+    // whether it is whole.
     bool hasOffsets = true;
     std::vector<VdbEntry> entries; // in file order
 };
@@ -27,7 +27,8 @@ struct VdbDirectory {
 // The only file format version that has point grids, so far.
 constexpr std::uint32_t kVdbFileVersion = 224;
 
-// @throws InputError if the file cannot be read, is not a .vdb of that version, or ends before the last grid does
+// @throws InputError if the file cannot be read, is not a .vdb of that version, or ends before the last grid
+// does
 VdbDirectory readVdbDirectory(const std::string& path);
 
 } // namespace vdb_nns

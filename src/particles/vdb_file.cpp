@@ -26,7 +26,8 @@ using openvdb::io::GridDescriptor;
 
 constexpr const char* kRadiusMetadata = "suggested_radius";
 
-// Whatever OpenVDB throws on a damaged file, std::bad_alloc and std::length_error included, is the file's fault.
+// Whatever OpenVDB throws on a damaged file, std::bad_alloc and std::length_error included, is the file's
+// fault.
 template <typename F>
 auto guardRead(const std::string& path, F&& read)
 {
@@ -125,8 +126,8 @@ private:
     openvdb::GridPtrVecPtr mStreamGrids;
 };
 
-// Lends the leaves of a grid attribute sets of their own, which share the arrays, so that an attribute may be added and
-// taken away again; the lent-out ones return at the end.
+// Lends the leaves of a grid attribute sets of their own, which share the arrays, so that an attribute may be
+// added and taken away again; the lent-out ones return at the end.
 class AttributeLoan {
 public:
     explicit AttributeLoan(points::PointDataGrid& grid)
@@ -278,7 +279,8 @@ void LoadedVdb::write(const std::string& path, Span<const std::uint32_t> counts,
         metadata = archive.metadata();
         out.setCompression(archiveCompression(archive.entries(), mChosen));
     });
-    // OpenVDB's statistics describe the grid as it is in the file, so they are made anew, but only for those who had them.
+    // OpenVDB's statistics describe the grid as it is in the file, so they are made anew, but only for those
+    // who had them.
     out.setGridStatsMetadataEnabled(static_cast<bool>((*mGrid)[openvdb::GridBase::META_FILE_COMPRESSION]));
 
     double expectedBytes = 1;

@@ -1,4 +1,5 @@
-// A .vdb file with a point grid, read and written through OpenVDB. Hides OpenVDB's headers from point_file.cpp.
+// A .vdb file with a point grid, read and written through OpenVDB. Hides OpenVDB's headers from
+// point_file.cpp.
 #pragma once
 
 #include "vdb_nns/particle_view.h"

@@ -1,5 +1,6 @@
-// Positions of an OpenVDB point grid, read where they lie: nothing is copied but one entry a leaf. And result attributes
-// back into a grid. Delayed loading is never used: an out-of-core leaf is refused, so that reading needs no locks.
+// Positions of an OpenVDB point grid, read where they lie: nothing is copied but one entry a leaf. And result
+// attributes back into a grid. Delayed loading is never used: an out-of-core leaf is refused, so that reading
+// needs no locks.
 #include "vdb_nns/openvdb_bridge.h"
 
 #include "particles/particle_source.h"
@@ -110,7 +111,8 @@ void readTransform(const points::PointDataGrid& grid, Matrix3& linear, Vec3d& tr
         }
         translation[row] = matrix(3, row);
     }
-    // Rank by pivots relative to the largest one (3 epsilon), so that a tiny scale is no fault but a lost dimension is.
+    // Rank by pivots relative to the largest one (3 epsilon), so that a tiny scale is no fault but a lost
+    // dimension is.
     const bool isFinite =
         eigen.allFinite() && std::isfinite(translation[0] + translation[1] + translation[2]);
     if (!isFinite || !Eigen::FullPivLU<Eigen::Matrix3d>(eigen).isInvertible()) {
@@ -279,7 +281,8 @@ void VdbSource::setReference()
 
 std::size_t VdbSource::leafOf(std::size_t i) const
 {
-    // Neighbors mostly share their query's leaf. The hint is only a guess: it is checked against this source's starts.
+    // Neighbors mostly share their query's leaf. The hint is only a guess: it is checked against this
+    // source's starts.
     thread_local std::size_t hint = 0;
     if (hint < mLeaves.size() && mStarts[hint] <= i && i < mStarts[hint + 1]) return hint;
     hint =

@@ -1,5 +1,6 @@
-// Runs a fuzz target without libFuzzer: over seeds of its format, all their prefixes, and mutations of them from a fixed
-// random sequence, for some seconds. A crash, a sanitizer's report or any exception but InputError ends it.
+// Runs a fuzz target without libFuzzer: over seeds of its format, all their prefixes, and mutations of them
+// from a fixed random sequence, for some seconds. A crash, a sanitizer's report or any exception but
+// InputError ends it.
 //
 //   replay npy|ply|xyz [SECONDS [FIRST_SEED]]
 #include <chrono>

@@ -1,5 +1,5 @@
-// Point grids and point files: every value as OpenVDB's own handles give it, damage noticed, and a file written again with
-// nothing changed but the attribute that was added.
+// Point grids and point files: every value as OpenVDB's own handles give it, damage noticed, and a file
+// written again with nothing changed but the attribute that was added.
 #include "particles/particle_source.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/openvdb_bridge.h"
@@ -22,8 +22,8 @@
 
 #include <sys/resource.h>
 
-// OpenVDB loses the nodes and page handles it has just made when its input throws, as the one of a cut stream-written file does.
-// LeakSanitizer asks for this; without it nobody does.
+// OpenVDB loses the nodes and page handles it has just made when its input throws, as the one of a cut
+// stream-written file does. LeakSanitizer asks for this; without it nobody does.
 extern "C" const char* __lsan_default_suppressions();
 extern "C" const char* __lsan_default_suppressions()
 {
@@ -341,7 +341,7 @@ TEST_F(PointFileTest, setsAndReplacesAnAttribute)
     EXPECT_THROW(setPointAttribute(*grid, "other", {values.data(), values.size()}), InvalidInput);
 }
 
-// ------------------------------------------------------------------------------------------------ reading files
+// --------------------------------------------------------------------------------------------- reading files
 
 TEST_F(PointFileTest, readsEveryCodecAndCompression)
 {
@@ -519,7 +519,7 @@ TEST_F(PointFileTest, describesAnArray)
     EXPECT_THROW(file.writeVdb(path("b.vdb"), {}, "nns_", false), InvalidInput);
 }
 
-// ------------------------------------------------------------------------------------------------ writing files
+// --------------------------------------------------------------------------------------------- writing files
 
 std::vector<std::uint32_t> numbered(std::size_t count)
 {
@@ -589,7 +589,8 @@ TEST_F(PointFileTest, writesTheSameFileWithCounts)
         }
         EXPECT_EQ(next, counts.size());
 
-        // Everything before the changed grid is as it was, but for the UUID (36 bytes at 21): metadata, order, fog, instance.
+        // Everything before the changed grid is as it was, but for the UUID (36 bytes at 21): metadata,
+        // order, fog, instance.
         const std::string before = contents(input), after = contents(path("out.vdb"));
         const std::size_t changed = before.find("fluid\x1e"
                                                 "0");
