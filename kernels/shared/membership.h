@@ -32,8 +32,9 @@
 //      otherwise       in the band: a double test and, if need be, exact arithmetic decide (execute/exact_test.h)
 //    The band is the sign bit and one integer comparison: negative floats of small magnitude are the smallest integers.
 //
-// 4. Box filter. Candidates whose distance from the box of a cell's queries has fl(square) > keep = rho^2 + 2 beta are
-//    dropped: that square exceeds the real one by less than 6 u keep < total, so D > rho^2 + beta, hence d > rho.
+// 4. Ball filter. About the centre m of a cell's queries, |p_c| <= |p_q| + sqrt(D), and a neighbor has sqrt(D) <= rho +
+//    delta. With fl(|p_q|^2) <= M for all queries, candidates with fl(|p_c|^2) > keepSquared(M) are dropped: the three
+//    roundings of either square are far below the factors of 1e-5 there.
 #pragma once
 
 #include "shared/annotation.h"
@@ -45,8 +46,8 @@
 namespace vdb_nns {
 
 struct FilterBounds {
-    float far;  // rho^2 + beta
-    float keep; // rho^2 + 2 beta, rounded up
+    float far;       // rho^2 + beta
+    float reachable; // rho + delta, rounded up
     std::int32_t
         bandTop; // bits of -2 beta, rounded away from zero: s is in the band iff negative and bits <= bandTop
 };
@@ -69,9 +70,17 @@ static inline FilterBounds makeFilterBounds(double radiusCells, int reach, doubl
     const double beta = (2 * radiusCells * delta + delta * delta + arithmetic + 1e-13 * rho2) * 1.001;
     FilterBounds bounds;
     bounds.far = static_cast<float>(rho2 + beta);
-    bounds.keep = std::nextafter(static_cast<float>(rho2 + 2 * beta), 1e30f);
+    bounds.reachable = std::nextafter(static_cast<float>(radiusCells + delta), 1e30f);
     bounds.bandTop = floatBits(std::nextafter(static_cast<float>(-2 * beta), -1e30f));
     return bounds;
+}
+
+/// Squared distance from the centre of a cell's queries past which nothing is their neighbor.
+/// @param mostSquared largest squared distance of a query from that centre
+VDB_NNS_HOST_DEVICE static inline float keepSquared(const FilterBounds& bounds, float mostSquared)
+{
+    const float most = sqrtf(mostSquared) * 1.00001f + bounds.reachable;
+    return most * most * 1.00001f;
 }
 
 } // namespace vdb_nns

@@ -1,4 +1,4 @@
-// The candidates of one cell's queries: those of the cells in reach that are near the box of the queries, moved to its
+// The candidates of one cell's queries: those of the cells in reach that are near the ball of the queries, moved to its
 // centre. Internal linkage; see simd.h.
 #pragma once
 
@@ -30,29 +30,39 @@ inline std::uint32_t candidatesOf(int reach, const std::uint32_t* lowest)
     return candidates;
 }
 
-inline QueryBox boxOf(const FilterBounds& bounds, const HaloScratch& halo, std::uint32_t first,
-                      std::uint32_t count)
+inline QueryBall ballOf(const FilterBounds& bounds, const HaloScratch& halo, std::uint32_t first,
+                        std::uint32_t count)
 {
-    Simd::F center[3], half[3];
+    // Whole vectors, the last of them overlapping, or one vector filled up with the first query.
+    const auto forEachVector = [first, count](const char* array, auto&& f) {
+        const float* const in = floats(array) + first;
+        if (count < Simd::kLanes) return f(firstLanesOr(Simd::load(in), count, Simd::set(*in)));
+        for (std::uint32_t i = 0; i + Simd::kLanes < count; i += Simd::kLanes) f(Simd::load(in + i));
+        f(Simd::load(in + count - Simd::kLanes));
+    };
+    Simd::F center[3];
     for (int k = 0; k < 3; ++k) {
-        const float* const in = floats(halo.halo() + k * halo.stride) + first;
-        Simd::F low, high;
-        if (count >= Simd::kLanes) {
-            low = high = Simd::load(in + count - Simd::kLanes);
-            for (std::uint32_t i = 0; i + Simd::kLanes < count; i += Simd::kLanes) {
-                const Simd::F v = Simd::load(in + i);
-                low = Simd::min(low, v);
-                high = Simd::max(high, v);
-            }
-        } else {
-            low = high = firstLanesOr(Simd::load(in), count, Simd::set(*in));
-        }
-        // The half size must cover each |fl(q - centre)|; rounding is monotonic, so the ends' own roundings do.
-        const float l = minOfLanes(low), h = maxOfLanes(high), c = 0.5f * (l + h), a = h - c, b = c - l;
-        center[k] = Simd::set(c);
-        half[k] = Simd::set(a > b ? a : b);
+        const char* const array = halo.halo() + k * halo.stride;
+        Simd::F low = Simd::set(floats(array)[first]), high = low;
+        forEachVector(array, [&](Simd::F v) {
+            low = Simd::min(low, v);
+            high = Simd::max(high, v);
+        });
+        center[k] = Simd::set(0.5f * (minOfLanes(low) + maxOfLanes(high)));
     }
-    return {center[0], center[1], center[2], half[0], half[1], half[2], Simd::set(bounds.keep)};
+    Simd::F most = Simd::set(0.0f);
+    const std::size_t stride = halo.stride;
+    const float* const x = floats(halo.halo()) + first;
+    for (std::uint32_t i = 0;; i += Simd::kLanes) {
+        if (i + Simd::kLanes >= count) i = count > Simd::kLanes ? count - Simd::kLanes : 0;
+        const char* const p = reinterpret_cast<const char*>(x + i);
+        const Simd::F length = squaredLength(Simd::sub(Simd::load(floats(p)), center[0]),
+                                             Simd::sub(Simd::load(floats(p + stride)), center[1]),
+                                             Simd::sub(Simd::load(floats(p + 2 * stride)), center[2]));
+        most = Simd::max(most, count < Simd::kLanes ? firstLanesOr(length, count, Simd::set(0.0f)) : length);
+        if (i + Simd::kLanes >= count) break;
+    }
+    return {bounds, center[0], center[1], center[2], maxOfLanes(most)};
 }
 
 // Bits one after the other into 64-bit words. Fewer than 64 at a time.
@@ -75,36 +85,37 @@ struct BitWriter {
     void finish() { *out = word; }
 };
 
-// One vector of candidates at `p`, of which `valid` count: keeps those near the box, behind `kept`.
+// One vector of candidates at `p`, of which `valid` count: keeps those near the ball, behind `kept`.
 template <bool kBits>
-inline char* gatherVector(const QueryBox& box, const char* p, std::size_t stride, Simd::Mask valid,
+inline char* gatherVector(const QueryBall& ball, const char* p, std::size_t stride, Simd::Mask valid,
                           unsigned count, char* kept, BitWriter& bits)
 {
-    const Simd::F px = Simd::sub(Simd::load(floats(p)), box.centerX);
-    const Simd::F py = Simd::sub(Simd::load(floats(p + stride)), box.centerY);
-    const Simd::F pz = Simd::sub(Simd::load(floats(p + 2 * stride)), box.centerZ);
-    const Simd::Mask mask = box.near(px, py, pz) & valid;
+    const Simd::F px = Simd::sub(Simd::load(floats(p)), ball.centerX);
+    const Simd::F py = Simd::sub(Simd::load(floats(p + stride)), ball.centerY);
+    const Simd::F pz = Simd::sub(Simd::load(floats(p + 2 * stride)), ball.centerZ);
+    const Simd::F length = squaredLength(px, py, pz);
+    const Simd::Mask mask = ball.near(length) & valid;
     if constexpr (kBits) bits.append(mask, count);
     const Simd::Order order = Simd::order(mask);
     Simd::store(floats(kept), Simd::compress(px, order));
     Simd::store(floats(kept + stride), Simd::compress(py, order));
     Simd::store(floats(kept + 2 * stride), Simd::compress(pz, order));
-    Simd::store(floats(kept + 4 * stride), Simd::compress(squaredLength(px, py, pz), order));
+    Simd::store(floats(kept + 4 * stride), Simd::compress(length, order));
     Simd::store(integers(kept + 8 * stride), Simd::compress(Simd::load(integers(p + 4 * stride)), order));
     return kept + static_cast<std::size_t>(__builtin_popcount(mask)) * sizeof(float);
 }
 
 // The candidates of one run of cells. Returns where the next kept one goes.
 template <bool kBits>
-inline char* gatherRun(const QueryBox& box, const char* halo, std::size_t stride, std::uint32_t begin,
+inline char* gatherRun(const QueryBall& ball, const char* halo, std::size_t stride, std::uint32_t begin,
                        std::uint32_t end, char* kept, BitWriter& bits)
 {
     const char* p = halo + std::size_t(begin) * sizeof(float);
     std::uint32_t left = end - begin;
     for (; left >= Simd::kLanes; left -= Simd::kLanes, p += Simd::kLanes * sizeof(float)) {
-        kept = gatherVector<kBits>(box, p, stride, kAllLanes, Simd::kLanes, kept, bits);
+        kept = gatherVector<kBits>(ball, p, stride, kAllLanes, Simd::kLanes, kept, bits);
     }
-    if (left > 0) kept = gatherVector<kBits>(box, p, stride, (1u << left) - 1, left, kept, bits);
+    if (left > 0) kept = gatherVector<kBits>(ball, p, stride, (1u << left) - 1, left, kept, bits);
     return kept;
 }
 
@@ -113,7 +124,7 @@ template <bool kBits>
 void gather(const SearchContext& context, HaloScratch& scratch, const std::uint32_t* lowest, CellSearch& cell)
 {
     const int reach = context.block.reach, side = 8 + 2 * reach;
-    const QueryBox box = boxOf(context.bounds, scratch, cell.firstQuery, cell.queries);
+    const QueryBall ball = ballOf(context.bounds, scratch, cell.firstQuery, cell.queries);
     const char* const halo = scratch.halo();
     const std::size_t stride = scratch.stride;
     char* kept = scratch.kept();
@@ -127,11 +138,11 @@ void gather(const SearchContext& context, HaloScratch& scratch, const std::uint3
             candidates += end - begin;
             if (dx == 0 && dy == 0) {
                 // In two parts, to learn where the first query stands among the kept.
-                kept = gatherRun<kBits>(box, halo, stride, begin, cell.firstQuery, kept, bits);
+                kept = gatherRun<kBits>(ball, halo, stride, begin, cell.firstQuery, kept, bits);
                 cell.self = static_cast<std::uint32_t>((kept - scratch.kept()) / sizeof(float));
                 begin = cell.firstQuery;
             }
-            kept = gatherRun<kBits>(box, halo, stride, begin, end, kept, bits);
+            kept = gatherRun<kBits>(ball, halo, stride, begin, end, kept, bits);
         }
     }
     if constexpr (kBits) bits.finish();

@@ -1,4 +1,4 @@
-// The SIMD twin of kernels/shared/membership.h: score, band and box filter of a vector of candidates. The bound proved
+// The SIMD twin of kernels/shared/membership.h: score, band and ball filter of a vector of candidates. The bound proved
 // there holds for this arithmetic, fused or not. Internal linkage; see simd.h.
 #pragma once
 
@@ -11,9 +11,21 @@ namespace {
 // A frame is a set of candidates and the score of a query against them, a vector at a time. `base` and `stride` are those
 // of HaloScratch; kNumber is where its particle numbers stand.
 
-// The candidates that a cell keeps, about the centre of its queries' box: s = fl(w_c + K + a.p_c).
+// The candidates that a cell keeps, about the centre of its queries' ball: s = fl(w_c + K + a.p_c).
 struct KeptFrame {
     static constexpr std::size_t kNumber = 8;
+
+    struct Candidates {
+        Simd::F x, y, z, w;
+
+        Candidates(const char* p, std::size_t stride)
+            : x(Simd::load(floats(p))),
+              y(Simd::load(floats(p + stride))),
+              z(Simd::load(floats(p + 2 * stride))),
+              w(Simd::load(floats(p + 4 * stride)))
+        {
+        }
+    };
 
     struct Query {
         Simd::F ax, ay, az, k;
@@ -26,12 +38,9 @@ struct KeptFrame {
         {
         }
 
-        Simd::F score(const char* p, std::size_t stride) const
+        Simd::F score(const Candidates& c) const
         {
-            const Simd::F sum = Simd::add(Simd::load(floats(p + 4 * stride)), k);
-            const Simd::F x = Simd::mulAdd(Simd::load(floats(p)), ax, sum);
-            return Simd::mulAdd(Simd::load(floats(p + 2 * stride)), az,
-                                Simd::mulAdd(Simd::load(floats(p + stride)), ay, x));
+            return Simd::mulAdd(c.z, az, Simd::mulAdd(c.y, ay, Simd::mulAdd(c.x, ax, Simd::add(c.w, k))));
         }
     };
 
@@ -44,6 +53,17 @@ struct KeptFrame {
 struct HaloFrame {
     static constexpr std::size_t kNumber = 4;
 
+    struct Candidates {
+        Simd::F x, y, z;
+
+        Candidates(const char* p, std::size_t stride)
+            : x(Simd::load(floats(p))),
+              y(Simd::load(floats(p + stride))),
+              z(Simd::load(floats(p + 2 * stride)))
+        {
+        }
+    };
+
     struct Query {
         Simd::F x, y, z, minusFar;
 
@@ -55,11 +75,9 @@ struct HaloFrame {
         {
         }
 
-        Simd::F score(const char* p, std::size_t stride) const
+        Simd::F score(const Candidates& c) const
         {
-            const Simd::F dx = Simd::sub(Simd::load(floats(p)), x);
-            const Simd::F dy = Simd::sub(Simd::load(floats(p + stride)), y);
-            const Simd::F dz = Simd::sub(Simd::load(floats(p + 2 * stride)), z);
+            const Simd::F dx = Simd::sub(c.x, x), dy = Simd::sub(c.y, y), dz = Simd::sub(c.z, z);
             return Simd::mulAdd(dz, dz, Simd::mulAdd(dy, dy, Simd::mulAdd(dx, dx, minusFar)));
         }
     };
@@ -74,19 +92,17 @@ inline Simd::F squaredLength(Simd::F x, Simd::F y, Simd::F z)
     return Simd::mulAdd(z, z, Simd::mulAdd(y, y, Simd::mul(x, x)));
 }
 
-// The box of a cell's queries: its centre and half its size, in the frame of the leaf and about the centre.
-struct QueryBox {
-    Simd::F centerX, centerY, centerZ, halfX, halfY, halfZ, keep;
+// A ball around a cell's queries, in the frame of the leaf, and how far from its centre neighbors of theirs can be.
+struct QueryBall {
+    Simd::F centerX, centerY, centerZ, keep; // keep: squared
 
-    // Candidates about the centre that may be neighbors of a query in the box.
-    Simd::Mask near(Simd::F px, Simd::F py, Simd::F pz) const
+    QueryBall(const FilterBounds& bounds, Simd::F x, Simd::F y, Simd::F z, float mostSquared)
+        : centerX(x), centerY(y), centerZ(z), keep(Simd::set(keepSquared(bounds, mostSquared)))
     {
-        const Simd::F zero = Simd::set(0.0f);
-        return Simd::lessEqual(squaredLength(Simd::max(Simd::sub(Simd::abs(px), halfX), zero),
-                                             Simd::max(Simd::sub(Simd::abs(py), halfY), zero),
-                                             Simd::max(Simd::sub(Simd::abs(pz), halfZ), zero)),
-                               keep);
     }
+
+    // Candidates about the centre, by their squared length, that may be neighbors of a query in the ball.
+    Simd::Mask near(Simd::F squaredLength) const { return Simd::lessEqual(squaredLength, keep); }
 };
 
 } // namespace

@@ -214,11 +214,15 @@ struct SearchEngine::Impl {
 };
 
 // Throws when the lists surely cannot fit. A few queries tell whether there is any doubt; only then all neighbors are
-// counted, at most four times what fits, so that the error never rests on an estimate.
+// counted, as far as seconds
+// or four times what fits go, so that the error never rests on an estimate.
 void SearchEngine::Impl::checkCapacity(const Run& run, Encoding encoding, std::uint64_t allowed,
                                        std::uint32_t* counts)
 {
     constexpr std::size_t kProbes = 32;
+    constexpr std::uint64_t kMostBytes = std::numeric_limits<std::uint64_t>::max();
+    constexpr std::uint64_t kCountedBytes =
+        160'000'000'000; // 4e10 pairs: some seconds of counting on two cores
     const std::size_t particles = run.grid.particleCount();
     if (particles == 0) return;
     const auto bytesOf = [&](ThreadState& state, const SearchTask& task) -> std::uint64_t {
@@ -249,8 +253,7 @@ void SearchEngine::Impl::checkCapacity(const Run& run, Encoding encoding, std::u
     here.begin();
     if (expected < 0.5 * static_cast<double>(allowed)) return;
     std::atomic<std::uint64_t> total{0};
-    const std::uint64_t enough =
-        allowed > std::numeric_limits<std::uint64_t>::max() / 4 ? allowed : 4 * allowed;
+    const std::uint64_t enough = std::max(kCountedBytes, std::min(allowed, kMostBytes / 4) * 4);
     forEachTask(run.grid, run.pieces, states, run.cancel, [&](ThreadState& state, const SearchTask& task) {
         if (total <= enough) total += bytesOf(state, task);
     });

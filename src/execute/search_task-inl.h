@@ -2,7 +2,7 @@
 // standard library that could leave a copy compiled with these flags for other files to use.
 //
 //   sparse leaves: every query against all particles of the leaf and its halo
-//   others:        for each occupied cell, gather() keeps the candidates near the box of the cell's queries;
+//   others:        for each occupied cell, gather() keeps the candidates near the ball of the cell's queries;
 //                  each query is tested against those, a vector at a time
 // Both take candidates in the same order, by cell (x, y, z) lexicographic and by number inside a cell.
 #include "execute/gather-inl.h"
@@ -15,11 +15,39 @@ namespace vdb_nns {
 namespace {
 
 // A leaf is sparse when leaf and halo together hold no more particles than this: then testing them all takes about as
-// many vectors a query as a dense cell's kept candidates, and saves the table of cells, boxes and gathering.
+// many vectors a query as a dense cell's kept candidates, and saves the table of cells, balls and gathering.
 constexpr std::uint32_t kSparseMost = 160;
 
-// Tests one query against the candidates of a frame and hands each vector's hits to emit(where the vector is, hits).
-// True when some of them are in the band: then the row is to be made again, by testBand().
+// Tests a query and the next one against the candidates of a frame, and hands each vector's hits to
+// emit(where the vector is, hits of the first, hits of the second). Two at a time read the candidates once for both.
+// True when some are in the band: then both rows are to be made again, by testBand().
+template <typename Frame, typename Emit>
+inline bool testPair(const FilterBounds& bounds, const Frame& frame, std::uint32_t self, Emit&& emit)
+{
+    constexpr std::size_t kVector = Simd::kLanes * sizeof(float);
+    const std::size_t stride = frame.stride;
+    const char* p = frame.base;
+    const char* const end = p + std::size_t(frame.count) * sizeof(float);
+    const char* const own = p + std::size_t(self) * sizeof(float);
+    const typename Frame::Query a(bounds, own, stride), b(bounds, own + sizeof(float), stride);
+    Simd::I least = Simd::set(std::int32_t(0x7fffffff));
+    const auto step = [&](Simd::Mask withoutA, Simd::Mask withoutB) {
+        const typename Frame::Candidates candidates(p, stride);
+        const Simd::F scoreA = a.score(candidates), scoreB = b.score(candidates);
+        least = Simd::min(least, Simd::min(Simd::bits(scoreA), Simd::bits(scoreB)));
+        emit(p, Simd::movesign(scoreA) & ~withoutA, Simd::movesign(scoreB) & ~withoutB);
+        p += kVector;
+    };
+    const char* const selfVector = p + std::size_t(self / Simd::kLanes) * kVector;
+    while (p < selfVector) step(0, 0);
+    const Simd::Mask selfA = Simd::Mask(1) << self % Simd::kLanes, selfB = selfA << 1 & kAllLanes;
+    step(selfA, selfB);
+    if (!selfB) step(0, 1); // the second query begins the next vector
+    while (p < end) step(0, 0);
+    return Simd::lessEqual(least, Simd::set(bounds.bandTop)) != 0;
+}
+
+// The same for one query.
 template <typename Frame, typename Emit>
 inline bool testQuery(const FilterBounds& bounds, const Frame& frame, std::uint32_t self, Emit&& emit)
 {
@@ -31,7 +59,7 @@ inline bool testQuery(const FilterBounds& bounds, const Frame& frame, std::uint3
     const typename Frame::Query query(bounds, p + std::size_t(self) * sizeof(float), stride);
     Simd::I least = Simd::set(std::int32_t(0x7fffffff));
     const auto step = [&] {
-        const Simd::F score = query.score(p, stride);
+        const Simd::F score = query.score(typename Frame::Candidates(p, stride));
         least = Simd::min(least, Simd::bits(score));
         return Simd::movesign(score);
     };
@@ -52,7 +80,7 @@ __attribute__((noinline)) void testBand(const FilterBounds& bounds, Frame frame,
     const std::uint32_t number = *integers(own + Frame::kNumber * frame.stride);
     for (std::uint32_t j = 0; j < frame.count; j += Simd::kLanes) {
         const char* const p = frame.base + std::size_t(j) * sizeof(float);
-        const Simd::F score = query.score(p, frame.stride);
+        const Simd::F score = query.score(typename Frame::Candidates(p, frame.stride));
         Simd::Mask hits = Simd::movesign(score);
         if (j == self - self % Simd::kLanes) hits &= ~(Simd::Mask(1) << self % Simd::kLanes);
         Simd::Mask band = hits & Simd::lessEqual(Simd::bits(score), Simd::set(bounds.bandTop));
@@ -76,8 +104,8 @@ template <typename Target>
 struct IndexRows {
     static constexpr bool kMasks = false;
 
-    IndexRows(const SearchContext& c, const SearchTask&, const HaloScratch& scratch, RowSink& rowSink)
-        : context(c), sink(rowSink), target(scratch, rowSink)
+    IndexRows(const SearchContext& c, const SearchTask&, const HaloScratch& s, RowSink& rowSink)
+        : context(c), scratch(s), sink(rowSink), target(s, rowSink)
     {
     }
 
@@ -87,10 +115,34 @@ struct IndexRows {
     {
         const FilterBounds bounds = context.bounds;
         const std::size_t stride = frame.stride, most = frame.count + Simd::kLanes;
-        std::uint32_t** const rowBegin = sink.rowBegin + (queries.slot - sink.slotBase);
-        std::uint32_t* const rowCount = sink.rowCount + (queries.slot - sink.slotBase);
-        std::uint64_t pairs = 0;
-        for (std::uint32_t q = 0; q < queries.count; ++q) {
+        std::uint32_t* const second = scratch.secondRow();
+        std::uint32_t q = 0;
+        for (; q + 1 < queries.count; q += 2) {
+            std::uint32_t* const begin = target.reserve(2 * most);
+            std::uint32_t *outA = begin, *outB = second;
+            const auto emit = [&outA, &outB, stride](const char* p, Simd::Mask hitsA, Simd::Mask hitsB) {
+                const Simd::I numbers = Simd::load(integers(p + Frame::kNumber * stride));
+                Simd::store(outA, Simd::compress(numbers, Simd::order(hitsA)));
+                Simd::store(outB, Simd::compress(numbers, Simd::order(hitsB)));
+                outA += __builtin_popcount(hitsA);
+                outB += __builtin_popcount(hitsB);
+            };
+            std::uint32_t countA, countB;
+            if (testPair(bounds, frame, queries.self + q, emit)) {
+                countA = searchBand(frame, queries.self + q, judge, statistics, begin);
+                countB = searchBand(frame, queries.self + q + 1, judge, statistics, begin + countA);
+            } else {
+                countA = static_cast<std::uint32_t>(outA - begin);
+                countB = static_cast<std::uint32_t>(outB - second);
+                for (std::uint32_t k = 0; k < countB; k += Simd::kLanes) {
+                    Simd::store(outA + k, Simd::load(second + k));
+                }
+            }
+            std::uint32_t* const row = target.commit(countA + countB);
+            noteRow(queries.slot + q, row, countA, statistics);
+            noteRow(queries.slot + q + 1, row + countA, countB, statistics);
+        }
+        if (q < queries.count) {
             std::uint32_t* const begin = target.reserve(most);
             std::uint32_t* out = begin;
             const auto emit = [&out, stride](const char* p, Simd::Mask hits) {
@@ -98,23 +150,24 @@ struct IndexRows {
                 Simd::store(out, Simd::compress(numbers, Simd::order(hits)));
                 out += __builtin_popcount(hits);
             };
-            std::uint32_t count;
-            if (testQuery(bounds, frame, queries.self + q, emit)) {
-                count = searchBand(frame, queries.self + q, judge, statistics, begin);
-            } else {
-                count = static_cast<std::uint32_t>(out - begin);
-            }
-            rowBegin[q] = target.commit(count);
-            rowCount[q] = count;
-            sink.nextSlot = queries.slot + q + 1;
-            pairs += count;
+            const bool band = testQuery(bounds, frame, queries.self + q, emit);
+            const std::uint32_t count = band ? searchBand(frame, queries.self + q, judge, statistics, begin)
+                                             : static_cast<std::uint32_t>(out - begin);
+            noteRow(queries.slot + q, target.commit(count), count, statistics);
         }
-        statistics.pairs += pairs;
     }
 
     void finish() { target.finish(); }
 
 private:
+    void noteRow(std::uint32_t slot, std::uint32_t* row, std::uint32_t count, TaskStatistics& statistics)
+    {
+        sink.rowBegin[slot - sink.slotBase] = row;
+        sink.rowCount[slot - sink.slotBase] = count;
+        sink.nextSlot = slot + 1;
+        statistics.pairs += count;
+    }
+
     template <typename Frame>
     std::uint32_t searchBand(const Frame& frame, std::uint32_t self, const BandJudge& judge,
                              TaskStatistics& statistics, std::uint32_t* begin)
@@ -130,6 +183,7 @@ private:
     }
 
     const SearchContext& context;
+    const HaloScratch& scratch;
     RowSink& sink;
     Target target;
 };
@@ -149,7 +203,22 @@ struct CountRows {
         const FilterBounds bounds = context.bounds;
         std::uint32_t* const rowCount = sink.rowCount + (queries.slot - sink.slotBase);
         std::uint64_t pairs = 0;
-        for (std::uint32_t q = 0; q < queries.count; ++q) {
+        std::uint32_t q = 0;
+        for (; q + 1 < queries.count; q += 2) {
+            std::uint32_t countA = 0, countB = 0;
+            const auto emit = [&countA, &countB](const char*, Simd::Mask hitsA, Simd::Mask hitsB) {
+                countA += static_cast<std::uint32_t>(__builtin_popcount(hitsA));
+                countB += static_cast<std::uint32_t>(__builtin_popcount(hitsB));
+            };
+            if (testPair(bounds, frame, queries.self + q, emit)) {
+                countA = countBand(frame, queries.self + q, judge, statistics);
+                countB = countBand(frame, queries.self + q + 1, judge, statistics);
+            }
+            rowCount[q] = countA;
+            rowCount[q + 1] = countB;
+            pairs += countA + countB;
+        }
+        if (q < queries.count) {
             std::uint32_t count = 0;
             const auto emit = [&count](const char*, Simd::Mask hits) {
                 count += static_cast<std::uint32_t>(__builtin_popcount(hits));
@@ -216,12 +285,40 @@ inline std::uint64_t deposit(std::uint64_t bits, std::uint64_t keep)
 #endif
 }
 
+// The hits of one query by kept candidate, as bits. Vectors of 8 lanes and more write whole bytes.
+struct HitWriter {
+    std::uint64_t* words;
+    BitWriter bits{words};
+    char* bytes = reinterpret_cast<char*>(words);
+
+    explicit HitWriter(std::uint64_t* out) : words(out) {}
+
+    void append(Simd::Mask hits)
+    {
+        if constexpr (Simd::kLanes >= 8) {
+            std::memcpy(bytes, &hits, Simd::kLanes / 8);
+            bytes += Simd::kLanes / 8;
+        } else {
+            bits.append(hits, Simd::kLanes);
+        }
+    }
+
+    void finish()
+    {
+        if constexpr (Simd::kLanes < 8) bits.finish();
+    }
+};
+
 // One bit for each candidate of the cells in reach, in visiting order, padded to 32-bit words.
 struct MaskRows {
     static constexpr bool kMasks = true;
 
     MaskRows(const SearchContext& c, const SearchTask& task, const HaloScratch& scratch, RowSink& rowSink)
-        : context(c), sink(rowSink), keepBits(scratch.keepBits()), hitBits(scratch.hitBits())
+        : context(c),
+          sink(rowSink),
+          keepBits(scratch.keepBits()),
+          hitBits(scratch.hitBits()),
+          secondHitBits(scratch.secondHitBits())
     {
         std::size_t words = 0;
         forEachCell(context.block, task, scratch,
@@ -242,17 +339,38 @@ struct MaskRows {
         std::uint32_t* const rowCount = sink.rowCount + (queries.slot - sink.slotBase);
         std::uint32_t* out = sink.out;
         std::uint64_t pairs = 0;
-        for (std::uint32_t q = 0; q < queries.count; ++q, out += rowWords) {
-            BitWriter bits{hitBits};
-            const auto emit = [&bits](const char*, Simd::Mask hits) { bits.append(hits, Simd::kLanes); };
-            if (testQuery(bounds, frame, queries.self + q, emit)) {
-                searchBand(frame, queries.self + q, judge, statistics);
-            } else {
-                bits.finish();
-            }
-            const std::uint32_t count = writeRow(rowWords, out);
+        const auto commitRow = [&](std::uint32_t q, const std::uint64_t* hits) {
+            const std::uint32_t count = writeRow(hits, rowWords, out);
             rowCount[q] = count;
             pairs += count;
+            out += rowWords;
+        };
+        std::uint32_t q = 0;
+        for (; q + 1 < queries.count; q += 2) {
+            HitWriter writerA(hitBits), writerB(secondHitBits);
+            const auto emit = [&writerA, &writerB](const char*, Simd::Mask hitsA, Simd::Mask hitsB) {
+                writerA.append(hitsA);
+                writerB.append(hitsB);
+            };
+            if (testPair(bounds, frame, queries.self + q, emit)) {
+                searchBand(frame, queries.self + q, judge, statistics, hitBits);
+                searchBand(frame, queries.self + q + 1, judge, statistics, secondHitBits);
+            } else {
+                writerA.finish();
+                writerB.finish();
+            }
+            commitRow(q, hitBits);
+            commitRow(q + 1, secondHitBits);
+        }
+        if (q < queries.count) {
+            HitWriter writer(hitBits);
+            const auto emit = [&writer](const char*, Simd::Mask hits) { writer.append(hits); };
+            if (testQuery(bounds, frame, queries.self + q, emit)) {
+                searchBand(frame, queries.self + q, judge, statistics, hitBits);
+            } else {
+                writer.finish();
+            }
+            commitRow(q, hitBits);
         }
         sink.out = out;
         statistics.pairs += pairs;
@@ -262,23 +380,28 @@ struct MaskRows {
 
 private:
     void searchBand(const KeptFrame& frame, std::uint32_t self, const BandJudge& judge,
-                    TaskStatistics& statistics)
+                    TaskStatistics& statistics, std::uint64_t* hits)
     {
-        BitWriter bits{hitBits};
+        HitWriter writer(hits);
         testBand(context.bounds, frame, self, judge, statistics,
-                 [&bits](const char*, Simd::Mask hits) { bits.append(hits, Simd::kLanes); });
-        bits.finish();
+                 [&writer](const char*, Simd::Mask hits) { writer.append(hits); });
+        writer.finish();
     }
 
-    std::uint32_t writeRow(std::uint32_t rowWords, std::uint32_t* row) const
+    // Moves the hits of kept candidates to the places of these among all candidates.
+    std::uint32_t writeRow(const std::uint64_t* hitWords, std::uint32_t rowWords, std::uint32_t* row) const
     {
+        const std::uint64_t* const keepWords = keepBits;
         std::uint32_t hit = 0, count = 0;
         for (std::uint32_t w = 0; w < rowWords; w += 2) {
-            const std::uint64_t keep = keepBits[w / 2];
-            // Two shifts, as one by 64 would be none.
-            const std::uint64_t bits = hitBits[hit >> 6] >> (hit & 63) | hitBits[(hit >> 6) + 1]
-                                                                             << 1 << (63 - (hit & 63));
-            hit += static_cast<std::uint32_t>(__builtin_popcountll(keep));
+            const std::uint64_t keep = keepWords[w / 2];
+            const auto kept = static_cast<std::uint32_t>(__builtin_popcountll(keep));
+            std::uint64_t bits;
+            std::memcpy(&bits, reinterpret_cast<const char*>(hitWords) + hit / 8, sizeof bits);
+            bits >>= hit % 8; // at least 57 are left
+            if (kept > 57)
+                bits = hitWords[hit / 64] >> hit % 64 | hitWords[hit / 64 + 1] << 1 << (63 - hit % 64);
+            hit += kept;
             const std::uint64_t out = deposit(bits, keep);
             count += static_cast<std::uint32_t>(__builtin_popcountll(out));
             std::memcpy(row + w, &out, sizeof out);
@@ -290,6 +413,7 @@ private:
     RowSink& sink;
     const std::uint64_t* keepBits;
     std::uint64_t* hitBits;
+    std::uint64_t* secondHitBits;
 };
 
 // Searches a sparse leaf. False, and nothing done, when it is not sparse.

@@ -43,8 +43,8 @@ struct RowSink {
 };
 
 // Memory of one thread: the particles of a leaf and its halo, by cell (x, y, z) lexicographic, about the leaf's centre;
-// and the candidates that one cell's queries keep, about the centre of their box. In units of `stride` bytes from `base`:
-//   kept x 0, y 1, z 2, squared length 4, number 8      halo x 5, y 6, z 7, number 9      bits or rows 3
+// and the candidates that one cell's queries keep, about the centre of their ball. In units of `stride` bytes from `base`:
+//   kept x 0, y 1, z 2, squared length 4, number 8      halo x 5, y 6, z 7, number 9      bits or a row 3      rows 10, 11
 struct HaloScratch {
     static constexpr int kMaxSide = 8 + 2 * 3;
     std::uint32_t
@@ -57,16 +57,23 @@ struct HaloScratch {
 
     char* kept() const { return base; }
     char* halo() const { return base + 5 * stride; }
-    // Where rows of numbers are made. kStagingSlack entries longer than the kept candidates.
-    std::uint32_t* staging() const { return reinterpret_cast<std::uint32_t*>(base + 3 * stride); }
+    // Where rows of numbers are made, two at a time: kStagingSlack entries longer than two rows of all kept candidates.
+    std::uint32_t* staging() const { return reinterpret_cast<std::uint32_t*>(base + 10 * stride); }
     static constexpr std::size_t kStagingSlack = 1088;
-    // By candidate of the cells in reach: kept by the box filter.
+    // Where the second row of a pair is made.
+    std::uint32_t* secondRow() const { return reinterpret_cast<std::uint32_t*>(base + 3 * stride); }
+    // By candidate of the cells in reach: kept by the ball filter.
     std::uint64_t* keepBits() const { return reinterpret_cast<std::uint64_t*>(base + 3 * stride); }
-    // By kept candidate: within the radius of one query. A stride of floats has room for both several times over.
+    // By kept candidate: within the radius of a query. A stride of floats has room for all three several times over.
     std::uint64_t* hitBits() const
+    {
+        return reinterpret_cast<std::uint64_t*>(base + 3 * stride + stride / 4 / 64 * 64);
+    }
+    std::uint64_t* secondHitBits() const
     {
         return reinterpret_cast<std::uint64_t*>(base + 3 * stride + stride / 2 / 64 * 64);
     }
+    static constexpr std::size_t kStrides = 12;
 };
 
 struct TaskStatistics {

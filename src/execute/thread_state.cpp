@@ -94,7 +94,7 @@ void ThreadState::reserveHalo(HaloScratch& scratch, std::size_t particles)
     // on the same cache sets.
     scratch.stride = ((capacity + HaloScratch::kStagingSlack) * sizeof(float) / 64 | 1) * 64;
     self.mHaloMemory = PageBlock();
-    self.mHaloMemory = PageBlock(10 * scratch.stride);
+    self.mHaloMemory = PageBlock(HaloScratch::kStrides * scratch.stride);
     scratch.base = static_cast<char*>(self.mHaloMemory.data());
     scratch.capacity = capacity;
 }

@@ -254,6 +254,22 @@ double coordinateErrorOf(const CellMap& map, const std::vector<Vec3i>& leafOrigi
     return map.errorCells(most);
 }
 
+// Before the arrays are made: what the grid needs at the least, one occupied cell a leaf.
+void checkCapacity(const SparseGridData& grid, std::size_t particles, std::uint64_t hostMemoryBytes)
+{
+    const std::uint64_t leafBytes =
+        sizeof(LeafRecord) + sizeof(Vec3i) + Topology::kBytesPerLeaf + sizeof(std::uint32_t);
+    const std::uint64_t needed = particles * 16 + grid.leafCount() * leafBytes;
+    const std::uint64_t held = grid.x.usedBytes() * 4;
+    const std::uint64_t allowed = hostMemoryBytes ? hostMemoryBytes : availableMemoryBytes() + held;
+    if (needed <= allowed) return;
+    throw CapacityError("the grid of " + std::to_string(particles) + " particles in " +
+                            std::to_string(grid.leafCount()) + " leaves needs at least " +
+                            std::to_string(needed) + " bytes, allowed are " + std::to_string(allowed) +
+                            ": allow more host memory, or search a part of the particles at a time",
+                        needed, allowed);
+}
+
 } // namespace
 
 void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options,
@@ -288,6 +304,7 @@ void buildSparseGrid(const ParticleView& view, double radius, const SearchOption
     if (!(grid.coordinateError <= CellMap::kMaxErrorCells)) throw map.rangeError(source);
     grid.nonfiniteCount = located.nonfinite;
     const std::size_t particles = grid.leaves.back().firstSlot;
+    checkCapacity(grid, particles, options.hostMemoryBytes);
     scratch.records.resizeDiscarding(particles);
     tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t c) {
         scatterChunk(source, map, chunks[c], scratch.leafOf.data(), scratch.records.data(), cancel);

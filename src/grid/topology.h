@@ -34,6 +34,8 @@ public:
     void neighborhoods(Span<const Vec3i> origins, LeafNeighborhood* out) const;
 
     std::uint64_t bytes() const;
+    static constexpr std::uint64_t kBytesPerLeaf =
+        88; // the leaf node and the pointer to it, without the nodes above
 
     struct Tree; // wraps openvdb::MaskTree
     const Tree& tree() const { return *mTree; }
