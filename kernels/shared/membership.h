@@ -32,9 +32,10 @@
 //      otherwise       in the band: a double test and, if need be, exact arithmetic decide (execute/exact_test.h)
 //    The band is the sign bit and one integer comparison: negative floats of small magnitude are the smallest integers.
 //
-// 4. Ball filter. About the centre m of a cell's queries, |p_c| <= |p_q| + sqrt(D), and a neighbor has sqrt(D) <= rho +
+// 4. Ball and box filter. About the centre m of a cell's queries, |p_c| <= |p_q| + sqrt(D), and a neighbor has sqrt(D) <= rho +
 //    delta. With fl(|p_q|^2) <= M for all queries, candidates with fl(|p_c|^2) > keepSquared(M) are dropped: the three
-//    roundings of either square are far below the factors of 1e-5 there.
+//    roundings of either square are far below the factors of 1e-5 there. The same holds for the distance of p_c from a
+//    box that holds all p_q, with M = 0: per axis it is fl(|p_c| - half) or 0, one more rounding.
 #pragma once
 
 #include "shared/annotation.h"

@@ -30,8 +30,8 @@ inline std::uint32_t candidatesOf(int reach, const std::uint32_t* lowest)
     return candidates;
 }
 
-inline QueryBall ballOf(const FilterBounds& bounds, const HaloScratch& halo, std::uint32_t first,
-                        std::uint32_t count)
+inline QueryBounds boundsOf(const FilterBounds& bounds, const HaloScratch& halo, std::uint32_t first,
+                            std::uint32_t count)
 {
     // Whole vectors, the last of them overlapping, or one vector filled up with the first query.
     const auto forEachVector = [first, count](const char* array, auto&& f) {
@@ -40,7 +40,7 @@ inline QueryBall ballOf(const FilterBounds& bounds, const HaloScratch& halo, std
         for (std::uint32_t i = 0; i + Simd::kLanes < count; i += Simd::kLanes) f(Simd::load(in + i));
         f(Simd::load(in + count - Simd::kLanes));
     };
-    Simd::F center[3];
+    Simd::F center[3], half[3];
     for (int k = 0; k < 3; ++k) {
         const char* const array = halo.halo() + k * halo.stride;
         Simd::F low = Simd::set(floats(array)[first]), high = low;
@@ -48,7 +48,10 @@ inline QueryBall ballOf(const FilterBounds& bounds, const HaloScratch& halo, std
             low = Simd::min(low, v);
             high = Simd::max(high, v);
         });
-        center[k] = Simd::set(0.5f * (minOfLanes(low) + maxOfLanes(high)));
+        // The half size must cover each |fl(q - centre)|; rounding is monotonic, so the ends' own roundings do.
+        const float l = minOfLanes(low), h = maxOfLanes(high), c = 0.5f * (l + h), a = h - c, b = c - l;
+        center[k] = Simd::set(c);
+        half[k] = Simd::set(a > b ? a : b);
     }
     Simd::F most = Simd::set(0.0f);
     const std::size_t stride = halo.stride;
@@ -62,7 +65,14 @@ inline QueryBall ballOf(const FilterBounds& bounds, const HaloScratch& halo, std
         most = Simd::max(most, count < Simd::kLanes ? firstLanesOr(length, count, Simd::set(0.0f)) : length);
         if (i + Simd::kLanes >= count) break;
     }
-    return {bounds, center[0], center[1], center[2], maxOfLanes(most)};
+    return {center[0],
+            center[1],
+            center[2],
+            half[0],
+            half[1],
+            half[2],
+            Simd::set(keepSquared(bounds, maxOfLanes(most))),
+            Simd::set(keepSquared(bounds, 0))};
 }
 
 // Bits one after the other into 64-bit words. Fewer than 64 at a time.
@@ -86,15 +96,15 @@ struct BitWriter {
 };
 
 // One vector of candidates at `p`, of which `valid` count: keeps those near the ball, behind `kept`.
-template <bool kBits>
-inline char* gatherVector(const QueryBall& ball, const char* p, std::size_t stride, Simd::Mask valid,
+template <bool kBits, bool kBox>
+inline char* gatherVector(const QueryBounds& where, const char* p, std::size_t stride, Simd::Mask valid,
                           unsigned count, char* kept, BitWriter& bits)
 {
-    const Simd::F px = Simd::sub(Simd::load(floats(p)), ball.centerX);
-    const Simd::F py = Simd::sub(Simd::load(floats(p + stride)), ball.centerY);
-    const Simd::F pz = Simd::sub(Simd::load(floats(p + 2 * stride)), ball.centerZ);
+    const Simd::F px = Simd::sub(Simd::load(floats(p)), where.centerX);
+    const Simd::F py = Simd::sub(Simd::load(floats(p + stride)), where.centerY);
+    const Simd::F pz = Simd::sub(Simd::load(floats(p + 2 * stride)), where.centerZ);
     const Simd::F length = squaredLength(px, py, pz);
-    const Simd::Mask mask = ball.near(length) & valid;
+    const Simd::Mask mask = where.near<kBox>(px, py, pz, length) & valid;
     if constexpr (kBits) bits.append(mask, count);
     const Simd::Order order = Simd::order(mask);
     Simd::store(floats(kept), Simd::compress(px, order));
@@ -106,25 +116,24 @@ inline char* gatherVector(const QueryBall& ball, const char* p, std::size_t stri
 }
 
 // The candidates of one run of cells. Returns where the next kept one goes.
-template <bool kBits>
-inline char* gatherRun(const QueryBall& ball, const char* halo, std::size_t stride, std::uint32_t begin,
+template <bool kBits, bool kBox>
+inline char* gatherRun(const QueryBounds& where, const char* halo, std::size_t stride, std::uint32_t begin,
                        std::uint32_t end, char* kept, BitWriter& bits)
 {
     const char* p = halo + std::size_t(begin) * sizeof(float);
     std::uint32_t left = end - begin;
     for (; left >= Simd::kLanes; left -= Simd::kLanes, p += Simd::kLanes * sizeof(float)) {
-        kept = gatherVector<kBits>(ball, p, stride, kAllLanes, Simd::kLanes, kept, bits);
+        kept = gatherVector<kBits, kBox>(where, p, stride, kAllLanes, Simd::kLanes, kept, bits);
     }
-    if (left > 0) kept = gatherVector<kBits>(ball, p, stride, (1u << left) - 1, left, kept, bits);
+    if (left > 0) kept = gatherVector<kBits, kBox>(where, p, stride, (1u << left) - 1, left, kept, bits);
     return kept;
 }
 
-// `lowest` indexes the halo's cube at the lowest z of the cell's reach.
-template <bool kBits>
-void gather(const SearchContext& context, HaloScratch& scratch, const std::uint32_t* lowest, CellSearch& cell)
+template <bool kBits, bool kBox>
+void gatherRuns(const QueryBounds& where, HaloScratch& scratch, int reach, const std::uint32_t* lowest,
+                CellSearch& cell)
 {
-    const int reach = context.block.reach, side = 8 + 2 * reach;
-    const QueryBall ball = ballOf(context.bounds, scratch, cell.firstQuery, cell.queries);
+    const int side = 8 + 2 * reach;
     const char* const halo = scratch.halo();
     const std::size_t stride = scratch.stride;
     char* kept = scratch.kept();
@@ -138,17 +147,32 @@ void gather(const SearchContext& context, HaloScratch& scratch, const std::uint3
             candidates += end - begin;
             if (dx == 0 && dy == 0) {
                 // In two parts, to learn where the first query stands among the kept.
-                kept = gatherRun<kBits>(ball, halo, stride, begin, cell.firstQuery, kept, bits);
+                kept = gatherRun<kBits, kBox>(where, halo, stride, begin, cell.firstQuery, kept, bits);
                 cell.self = static_cast<std::uint32_t>((kept - scratch.kept()) / sizeof(float));
                 begin = cell.firstQuery;
             }
-            kept = gatherRun<kBits>(ball, halo, stride, begin, end, kept, bits);
+            kept = gatherRun<kBits, kBox>(where, halo, stride, begin, end, kept, bits);
         }
     }
     if constexpr (kBits) bits.finish();
     Simd::store(floats(kept + 4 * stride), Simd::set(kFarAway));
     cell.candidates = candidates;
     cell.kept = static_cast<std::uint32_t>((kept - scratch.kept()) / sizeof(float));
+}
+
+// From this many queries on, the box pays: it costs once a cell and saves tests of every query.
+constexpr std::uint32_t kBoxQueries = 14;
+
+// `lowest` indexes the halo's cube at the lowest z of the cell's reach.
+template <bool kBits>
+void gather(const SearchContext& context, HaloScratch& scratch, const std::uint32_t* lowest, CellSearch& cell)
+{
+    const QueryBounds where = boundsOf(context.bounds, scratch, cell.firstQuery, cell.queries);
+    if (cell.queries >= kBoxQueries) {
+        gatherRuns<kBits, true>(where, scratch, context.block.reach, lowest, cell);
+    } else {
+        gatherRuns<kBits, false>(where, scratch, context.block.reach, lowest, cell);
+    }
 }
 
 } // namespace

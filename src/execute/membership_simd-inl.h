@@ -11,7 +11,7 @@ namespace {
 // A frame is a set of candidates and the score of a query against them, a vector at a time. `base` and `stride` are those
 // of HaloScratch; kNumber is where its particle numbers stand.
 
-// The candidates that a cell keeps, about the centre of its queries' ball: s = fl(w_c + K + a.p_c).
+// The candidates that a cell keeps, about the centre of its queries' box: s = fl(w_c + K + a.p_c).
 struct KeptFrame {
     static constexpr std::size_t kNumber = 8;
 
@@ -92,17 +92,25 @@ inline Simd::F squaredLength(Simd::F x, Simd::F y, Simd::F z)
     return Simd::mulAdd(z, z, Simd::mulAdd(y, y, Simd::mul(x, x)));
 }
 
-// A ball around a cell's queries, in the frame of the leaf, and how far from its centre neighbors of theirs can be.
-struct QueryBall {
-    Simd::F centerX, centerY, centerZ, keep; // keep: squared
+// Where a cell's queries are, in the frame of the leaf: a box, its centre, and how far from the centre and from the box
+// neighbors of theirs can be.
+struct QueryBounds {
+    Simd::F centerX, centerY, centerZ, halfX, halfY, halfZ;
+    Simd::F ballKeep, boxKeep; // squared
 
-    QueryBall(const FilterBounds& bounds, Simd::F x, Simd::F y, Simd::F z, float mostSquared)
-        : centerX(x), centerY(y), centerZ(z), keep(Simd::set(keepSquared(bounds, mostSquared)))
+    // Candidates about the centre that may be neighbors of a query, by the ball around the queries, and if kBox by their
+    // box too, which costs as much again and keeps fewer.
+    template <bool kBox>
+    Simd::Mask near(Simd::F px, Simd::F py, Simd::F pz, Simd::F length) const
     {
+        const Simd::Mask inBall = Simd::lessEqual(length, ballKeep);
+        if constexpr (!kBox) return inBall;
+        const Simd::F zero = Simd::set(0.0f);
+        return inBall & Simd::lessEqual(squaredLength(Simd::max(Simd::sub(Simd::abs(px), halfX), zero),
+                                                      Simd::max(Simd::sub(Simd::abs(py), halfY), zero),
+                                                      Simd::max(Simd::sub(Simd::abs(pz), halfZ), zero)),
+                                        boxKeep);
     }
-
-    // Candidates about the centre, by their squared length, that may be neighbors of a query in the ball.
-    Simd::Mask near(Simd::F squaredLength) const { return Simd::lessEqual(squaredLength, keep); }
 };
 
 } // namespace
