@@ -21,7 +21,8 @@ struct SparseGridData; // src/grid/sparse_grid_data.h
 /// a cell the particles stand by number. A slot is a particle's place in that order.
 class SparseGrid {
 public:
-    SparseGrid() = default;
+    /// An empty grid.
+    SparseGrid();
     explicit SparseGrid(std::shared_ptr<const SparseGridData> data);
 
     struct Leaf {

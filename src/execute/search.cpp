@@ -46,12 +46,6 @@ void checkOptions(const SearchOptions& options)
     }
 }
 
-void checkGrid(const SparseGrid& grid)
-{
-    if (!grid.sharedData())
-        throw InvalidInput("a default-constructed SparseGrid cannot be searched: build one first");
-}
-
 struct Piece {
     std::uint32_t leaf, firstSlot, endSlot;
 };
@@ -371,7 +365,6 @@ SparseGrid SearchEngine::buildGrid(const ParticleView& view, double radius, cons
 
 NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& options)
 {
-    checkGrid(grid);
     checkOptions(options);
     const double start = now();
     // Of the engine's own last lists only the memory is used again, and only when nobody else reads them.
@@ -397,7 +390,6 @@ NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& 
 
 void SearchEngine::visit(const SparseGrid& grid, const NeighborVisitor& visitor, const SearchOptions& options)
 {
-    checkGrid(grid);
     checkOptions(options);
     const double start = now();
     const Impl::Run run(grid.data(), options);

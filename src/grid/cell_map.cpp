@@ -64,22 +64,35 @@ double CellMap::errorCells(const double mostCells[3]) const
     return 7 * 0x1p-53 * worst;
 }
 
-InputError CellMap::rangeError(const ParticleSource& source) const
+InputError CellMap::rangeError(const ParticleSource& source, double coordinateError) const
 {
     const Bounds bounds = boundsOf(source, reference);
-    double extentCells = 0;
+    const Matrix3& m = source.linear();
+    double extent = 0; // world units: cells may be too many for a double
     for (int corner = 0; corner < 8; ++corner) {
         const double c[3] = {(corner & 1 ? bounds.high : bounds.low)[0],
                              (corner & 2 ? bounds.high : bounds.low)[1],
                              (corner & 4 ? bounds.high : bounds.low)[2]};
-        for (int k = 0; k < 3; ++k) extentCells = std::max(extentCells, std::fabs(cell(k, c[0], c[1], c[2])));
+        for (const auto& row : m) {
+            extent = std::max(extent, mIsArray ? std::max({std::fabs(c[0]), std::fabs(c[1]), std::fabs(c[2])})
+                                               : std::fabs(row[0] * c[0] + row[1] * c[1] + row[2] * c[2]));
+        }
     }
+    // A little more than needed, so that no rounding of the text undoes it.
+    constexpr double kMore = 1.001;
+    double smallest = extent * (mReach / kLimit) * kMore;
     std::ostringstream text;
     text.precision(9);
-    text << "the particles reach " << extentCells << " cells from the middle (" << extentCells / cellsPerUnit
-         << " world units, cell edge " << 1 / cellsPerUnit << " for radius " << mRadius
-         << "), the limit is 2^31 - 4096 cells: remove the outliers or use a radius of at least "
-         << mRadius * (extentCells / kLimit) * 1.001;
+    text << "the particles reach " << extent << " world units from the middle, " << (extent * cellsPerUnit)
+         << " cells of edge " << 1 / cellsPerUnit << " for radius " << mRadius << "; ";
+    if (coordinateError > kMaxErrorCells) {
+        smallest = std::max(smallest, mReach / cellsPerUnit * (coordinateError / kMaxErrorCells) * kMore);
+        text << "the transform is so nearly singular there that a cell coordinate may be wrong by "
+             << coordinateError << " cells, the limit is " << kMaxErrorCells;
+    } else {
+        text << "the limit is 2^31 - 4096 cells";
+    }
+    text << ": remove the outliers or use a radius of at least " << smallest;
     return InputError(text.str());
 }
 

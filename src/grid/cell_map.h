@@ -47,7 +47,9 @@ struct CellMap {
 
     double errorCells(const double mostCells[3]) const;
 
-    InputError rangeError(const ParticleSource& source) const;
+    // Says how far the particles reach and which radius works. `coordinateError` is what errorCells() gave, or 0 when cell
+    // coordinates are out of range.
+    InputError rangeError(const ParticleSource& source, double coordinateError) const;
 
     Vec3d reference;
     double cellsPerUnit;
@@ -60,6 +62,7 @@ private:
     }
 
     double mRadius;
+    int mReach;
     Matrix3 mMatrix; // linear * cellsPerUnit
     Matrix3 mSpread; // |mMatrix| |its inverse|
     bool mIsArray;

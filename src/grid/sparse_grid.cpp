@@ -288,7 +288,7 @@ void buildSparseGrid(const ParticleView& view, double radius, const SearchOption
         chunks = makeChunks(source.size());
         located = locate(source, map, chunks, scratch.leafOf.data(), cancel);
     }
-    if (located.outOfRange) throw map.rangeError(source);
+    if (located.outOfRange) throw map.rangeError(source, 0);
     if (located.nonfinite > 0 && options.nonfinite == NonFinite::kFail) {
         throw InputError(std::to_string(located.nonfinite) + " of " + std::to_string(source.size()) +
                          " particles have a position that is NaN or infinite: repair them or skip them");
@@ -301,7 +301,9 @@ void buildSparseGrid(const ParticleView& view, double radius, const SearchOption
     grid.cellsPerUnit = map.cellsPerUnit;
     grid.radiusCells = radius * map.cellsPerUnit;
     grid.coordinateError = coordinateErrorOf(map, grid.leafOrigins);
-    if (!(grid.coordinateError <= CellMap::kMaxErrorCells)) throw map.rangeError(source);
+    if (!(grid.coordinateError <= CellMap::kMaxErrorCells)) {
+        throw map.rangeError(source, grid.coordinateError);
+    }
     grid.nonfiniteCount = located.nonfinite;
     const std::size_t particles = grid.leaves.back().firstSlot;
     checkCapacity(grid, particles, options.hostMemoryBytes);
@@ -322,6 +324,16 @@ std::uint64_t SparseGridData::bytes() const
            leaves.size() * sizeof(LeafRecord) + leafOrigins.size() * sizeof(Vec3i) + topology.bytes();
 }
 
+SparseGrid::SparseGrid()
+{
+    static const std::shared_ptr<const SparseGridData> empty = [] {
+        auto data = std::make_shared<SparseGridData>();
+        data->leaves.push_back({0, 0, nullptr}); // the end
+        return data;
+    }();
+    mData = empty;
+}
+
 SparseGrid::SparseGrid(std::shared_ptr<const SparseGridData> data) : mData(std::move(data)) {}
 
 double SparseGrid::radius() const
@@ -338,7 +350,7 @@ double SparseGrid::cellSize() const
 }
 std::uint64_t SparseGrid::particleCount() const
 {
-    return mData ? mData->particleCount() : 0;
+    return mData->particleCount();
 }
 std::uint64_t SparseGrid::nonfiniteCount() const
 {

@@ -119,6 +119,7 @@ void makeDirectory(const NeighborListsData& lists)
         [&](std::uint32_t begin, std::uint32_t, const Runs&, std::uint32_t, const std::uint32_t* words) {
             directory.push_back({begin, words});
         });
+    lists.directoryBytes = directory.size() * sizeof(MaskRun);
 }
 
 // Finds the cell of a slot: its leaf, then its place in it.
@@ -286,8 +287,7 @@ std::uint64_t NeighborLists::checksum() const
 std::uint64_t NeighborLists::bytes() const
 {
     return mData->rowBytes + mData->slotOf.usedBytes() + mData->rowCount.usedBytes() +
-           mData->rowBegin.usedBytes() + mData->maskRuns.size() * sizeof(MaskRun) +
-           mData->directory.size() * sizeof(MaskRun);
+           mData->rowBegin.usedBytes() + mData->maskRuns.size() * sizeof(MaskRun) + mData->directoryBytes;
 }
 
 } // namespace vdb_nns

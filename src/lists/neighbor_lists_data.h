@@ -7,6 +7,7 @@
 #include "vdb_nns/particle_view.h"
 #include "vdb_nns/sparse_grid.h"
 
+#include <atomic>
 #include <cstdint>
 #include <mutex>
 #include <vector>
@@ -39,6 +40,7 @@ struct NeighborListsData {
     // For reading masks by number, made at the first such call: the rows of each occupied cell.
     mutable std::once_flag directoryOnce;
     mutable std::vector<MaskRun> directory;
+    mutable std::atomic<std::uint64_t> directoryBytes{0}; // may be read while another thread makes it
 };
 
 } // namespace vdb_nns
