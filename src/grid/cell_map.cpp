@@ -13,6 +13,7 @@ namespace vdb_nns {
 CellMap::CellMap(const ParticleSource& source, double radius, int reach, SimdLevel simd)
     : reference(source.reference()),
       mRadius(radius),
+      mReach(reach),
       mIsArray(source.isArray()),
       mLocateAxis(kernelsFor(simd).locateAxis)
 {
