@@ -87,7 +87,11 @@ InputError CellMap::rangeError(const ParticleSource& source, double coordinateEr
     text << "the particles reach " << extent << " world units from the middle, " << (extent * cellsPerUnit)
          << " cells of edge " << 1 / cellsPerUnit << " for radius " << mRadius << "; ";
     if (coordinateError > kMaxErrorCells) {
-        smallest = std::max(smallest, mReach / cellsPerUnit * (coordinateError / kMaxErrorCells) * kMore);
+        // With a radius f times as large the bound is at most coordinateError / f, and what rounding up to leaves adds.
+        constexpr double kLeaf[3] = {8, 8, 8};
+        const double left = kMaxErrorCells - errorCells(kLeaf);
+        smallest = left > 0 ? std::max(smallest, mReach / cellsPerUnit * (coordinateError / left) * kMore)
+                            : std::numeric_limits<double>::infinity();
         text << "the transform is so nearly singular there that a cell coordinate may be wrong by "
              << coordinateError << " cells, the limit is " << kMaxErrorCells;
     } else {
