@@ -158,14 +158,30 @@ ExactTest::Verdict ExactTest::doubleTest(const StoredPosition& a, const StoredPo
     return Verdict::kUndecided;
 }
 
-bool ExactTest::isNeighbor(std::uint32_t i, std::uint32_t j, std::uint64_t& exactPairs) const
+bool ExactTest::isNeighbor(std::uint32_t query, std::uint32_t candidate, ExactTestMemory& memory,
+                           std::uint64_t& exactPairs) const
 {
     const ParticleSource& source = mView.source();
-    const StoredPosition a = source.stored(i), b = source.stored(j);
+    if (!memory.hasQuery || memory.query != query) {
+        memory.stored = source.stored(query);
+        memory.query = query;
+        memory.hasQuery = true;
+    }
+    const StoredPosition &a = memory.stored, b = source.stored(candidate);
+    const bool sameOffsets =
+        a.offset[0] == b.offset[0] && a.offset[1] == b.offset[1] && a.offset[2] == b.offset[2];
+    const std::int64_t d[3] = {b.voxel[0] - a.voxel[0], b.voxel[1] - a.voxel[1], b.voxel[2] - a.voxel[2]};
+    ExactTestMemory::Tie& tie = memory.ties[(d[0] * 25 + d[1] * 5 + d[2]) & 63];
+    if (sameOffsets && tie.known && tie.voxels[0] == d[0] && tie.voxels[1] == d[1] && tie.voxels[2] == d[2]) {
+        ++exactPairs;
+        return tie.isNeighbor;
+    }
     const Verdict verdict = mScale != 0 ? doubleTest(a, b) : Verdict::kUndecided;
     if (verdict != Verdict::kUndecided) return verdict == Verdict::kYes;
     ++exactPairs;
-    return isNeighborExactly(a, b);
+    const bool isNeighbor = isNeighborExactly(a, b);
+    if (sameOffsets) tie = {{d[0], d[1], d[2]}, true, isNeighbor};
+    return isNeighbor;
 }
 
 namespace {

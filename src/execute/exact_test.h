@@ -14,18 +14,33 @@
 
 #include "vdb_nns/particle_view.h"
 
+#include "particles/particle_source.h"
+
 #include <cstdint>
 
 namespace vdb_nns {
 
-struct StoredPosition;
+// What one thread remembers between pairs: the query, whose pairs come together, and how ties of particles with equal
+// offsets were decided, which depends on the voxel difference alone: on a perfect lattice there are few of those.
+struct ExactTestMemory {
+    struct Tie {
+        std::int64_t voxels[3];
+        bool known = false, isNeighbor = false;
+    };
+    bool hasQuery = false;
+    std::uint32_t query = 0;
+    StoredPosition stored{};
+    Tie ties[64];
+};
 
 class ExactTest {
 public:
     ExactTest(const ParticleView& view, double radius);
 
-    // Thread-safe. Adds to exactPairs where the double test did not decide.
-    bool isNeighbor(std::uint32_t i, std::uint32_t j, std::uint64_t& exactPairs) const;
+    // Adds to exactPairs where the double test did not decide. Thread-safe with a memory for each thread, which must be
+    // new for each test.
+    bool isNeighbor(std::uint32_t query, std::uint32_t candidate, ExactTestMemory& memory,
+                    std::uint64_t& exactPairs) const;
 
     // The exact test alone.
     bool isNeighborExactly(const StoredPosition& a, const StoredPosition& b) const;

@@ -63,6 +63,7 @@ void ThreadState::begin()
     statistics = {};
     exactPairs = maskBytes = 0;
     maskRuns.clear();
+    mExactMemory = {};
     sink.out = sink.end = nullptr;
     sink.tailSize = 0;
     sink.grow = growRows;
@@ -71,7 +72,7 @@ void ThreadState::begin()
 bool ThreadState::judgePair(void* state, std::uint32_t query, std::uint32_t candidate)
 {
     auto& self = *static_cast<ThreadState*>(state);
-    return self.exact->isNeighbor(query, candidate, self.exactPairs);
+    return self.exact->isNeighbor(query, candidate, self.mExactMemory, self.exactPairs);
 }
 
 void ThreadState::finishRows()

@@ -75,6 +75,7 @@ private:
     std::vector<std::uint32_t*> mVisitBegin;
     std::vector<std::uint32_t> mVisitCount;
     std::vector<double> mDistances;
+    ExactTestMemory mExactMemory;
     const SparseGridData* mVisitGrid = nullptr;
     const NeighborVisitor* mVisitor = nullptr;
     std::uint32_t mVisited = 0; // slots before it were handed out

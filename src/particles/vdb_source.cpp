@@ -290,9 +290,14 @@ std::size_t VdbSource::leafOf(std::size_t i) const
     return hint;
 }
 
-// The voxel of a leaf's point: how many voxels end at or before it. Without branches; there are 512 voxels.
+// The voxel of a leaf's point: how many voxels end at or before it. Where points are spread evenly, as on a lattice, the
+// first guess is right; else a search without branches over the 512 voxels.
 openvdb::Index voxelOf(const VoxelOffset* ends, openvdb::Index32 point)
 {
+    const auto guess = static_cast<openvdb::Index>(std::uint64_t(point) * Leaf::SIZE /
+                                                   openvdb::Index32(ends[Leaf::SIZE - 1]));
+    const openvdb::Index32 before = guess ? openvdb::Index32(ends[guess - 1]) : 0;
+    if (before <= point && point < openvdb::Index32(ends[guess])) return guess;
     openvdb::Index voxel = 0;
     for (openvdb::Index step = Leaf::SIZE / 2; step > 0; step /= 2) {
         voxel += openvdb::Index32(ends[voxel + step - 1]) <= point ? step : 0;
