@@ -16,7 +16,7 @@ namespace {
 
 constexpr double kLeast = std::numeric_limits<double>::denorm_min();
 constexpr double kMost = std::numeric_limits<double>::max();
-constexpr int kCompany = 200; // more than a sparse leaf may hold with its halo (kSparseMost)
+constexpr int kCompany = 300; // more than a sparse leaf may hold with its halo (kSparseMost)
 
 double nudged(double x, int ulps)
 {
