@@ -27,9 +27,10 @@ struct SearchOptions {
     /// How results are held.
     Encoding encoding = Encoding::kIndex;
 
-    /// Cells that a radius spans, 1 to 3: the cell edge is radius / reach, a hair wider. 1 suits most scenes; 2 makes
-    /// masks smaller.
-    int reach = 1;
+    /// Cells that a radius spans, 1 to 3: the cell edge is radius / reach, a hair wider. 2 makes masks smaller.
+    /// 0: as suits the input. That is the voxels of a VDB grid where they serve as cells (a transform that does nothing
+    /// but scale, radius between half a voxel's edge and one, every offset P within 1/2), which saves the sort; else 1.
+    int reach = 0;
 
     NonFinite nonfinite = NonFinite::kSkip;
 

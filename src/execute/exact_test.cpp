@@ -158,28 +158,56 @@ ExactTest::Verdict ExactTest::doubleTest(const StoredPosition& a, const StoredPo
     return Verdict::kUndecided;
 }
 
+const ExactTestMemory::Position& ExactTestMemory::positionOf(const ParticleSource& source,
+                                                             std::uint32_t number)
+{
+    if (positions.empty()) positions.resize(std::size_t(1) << kPositionBits);
+    Position& position = positions[number * 0x9E3779B1u >> (32 - kPositionBits)];
+    if (position.number == number) return position;
+    const StoredPosition stored = source.stored(number);
+    position.number = number;
+    for (int k = 0; k < 3; ++k) {
+        position.voxel[k] = static_cast<std::int32_t>(stored.voxel[k]);
+        position.offset[k] = static_cast<float>(stored.offset[k]);
+    }
+    return position;
+}
+
 bool ExactTest::isNeighbor(std::uint32_t query, std::uint32_t candidate, ExactTestMemory& memory,
                            std::uint64_t& exactPairs) const
 {
     const ParticleSource& source = mView.source();
-    if (!memory.hasQuery || memory.query != query) {
-        memory.stored = source.stored(query);
-        memory.query = query;
-        memory.hasQuery = true;
-    }
-    const StoredPosition &a = memory.stored, b = source.stored(candidate);
-    const bool sameOffsets =
-        a.offset[0] == b.offset[0] && a.offset[1] == b.offset[1] && a.offset[2] == b.offset[2];
-    const std::int64_t d[3] = {b.voxel[0] - a.voxel[0], b.voxel[1] - a.voxel[1], b.voxel[2] - a.voxel[2]};
-    ExactTestMemory::Tie& tie = memory.ties[(d[0] * 25 + d[1] * 5 + d[2]) & 63];
-    if (sameOffsets && tie.known && tie.voxels[0] == d[0] && tie.voxels[1] == d[1] && tie.voxels[2] == d[2]) {
-        ++exactPairs;
-        return tie.isNeighbor;
-    }
+    if (!source.isArray()) return isNeighborInGrid(query, candidate, memory, exactPairs);
+    const StoredPosition a = source.stored(query), b = source.stored(candidate);
     const Verdict verdict = mScale != 0 ? doubleTest(a, b) : Verdict::kUndecided;
     if (verdict != Verdict::kUndecided) return verdict == Verdict::kYes;
     ++exactPairs;
-    const bool isNeighbor = isNeighborExactly(a, b);
+    return isNeighborExactly(a, b);
+}
+
+bool ExactTest::isNeighborInGrid(std::uint32_t query, std::uint32_t candidate, ExactTestMemory& memory,
+                                 std::uint64_t& exactPairs) const
+{
+    const ParticleSource& source = mView.source();
+    if (memory.query.number != query) memory.query = memory.positionOf(source, query);
+    const ExactTestMemory::Position &a = memory.query, &b = memory.positionOf(source, candidate);
+    const bool sameOffsets = std::memcmp(a.offset, b.offset, sizeof a.offset) == 0;
+    const std::int64_t d[3] = {std::int64_t(b.voxel[0]) - a.voxel[0], std::int64_t(b.voxel[1]) - a.voxel[1],
+                               std::int64_t(b.voxel[2]) - a.voxel[2]};
+    ExactTestMemory::Tie& tie = memory.ties[(d[0] * 25 + d[1] * 5 + d[2]) & 63];
+    const std::int64_t otherTie = (tie.voxels[0] ^ d[0]) | (tie.voxels[1] ^ d[1]) | (tie.voxels[2] ^ d[2]);
+    if (sameOffsets && tie.known && otherTie == 0) {
+        ++exactPairs;
+        return tie.isNeighbor;
+    }
+    const auto storedOf = [](const ExactTestMemory::Position& p) {
+        return StoredPosition{{p.voxel[0], p.voxel[1], p.voxel[2]}, {p.offset[0], p.offset[1], p.offset[2]}};
+    };
+    const StoredPosition storedA = storedOf(a), storedB = storedOf(b);
+    const Verdict verdict = mScale != 0 ? doubleTest(storedA, storedB) : Verdict::kUndecided;
+    if (verdict != Verdict::kUndecided) return verdict == Verdict::kYes;
+    ++exactPairs;
+    const bool isNeighbor = isNeighborExactly(storedA, storedB);
     if (sameOffsets) tie = {{d[0], d[1], d[2]}, true, isNeighbor};
     return isNeighbor;
 }

@@ -17,20 +17,32 @@
 #include "particles/particle_source.h"
 
 #include <cstdint>
+#include <vector>
 
 namespace vdb_nns {
 
-// What one thread remembers between pairs: the query, whose pairs come together, and how ties of particles with equal
-// offsets were decided, which depends on the voxel difference alone: on a perfect lattice there are few of those.
+// What one thread remembers between pairs of a VDB grid: positions, which come again with the queries around them; and how
+// ties of particles with equal offsets were decided, which depends on the voxel difference alone: on a perfect lattice
+// there are few of those.
 struct ExactTestMemory {
+    // A StoredPosition of a grid is a Coord and floats.
+    struct Position {
+        std::uint32_t number = 0xffffffffu; // of the particle; no particle has this one
+        std::int32_t voxel[3];
+        float offset[3];
+    };
     struct Tie {
-        std::int64_t voxels[3];
+        std::int64_t voxels[3] = {};
         bool known = false, isNeighbor = false;
     };
-    bool hasQuery = false;
-    std::uint32_t query = 0;
-    StoredPosition stored{};
+    // 256 KB, which stays in the second-level cache and holds a leaf of 16 particles a cell.
+    static constexpr int kPositionBits = 13;
+
+    Position query;
+    std::vector<Position> positions; // by a hash of the number; made at the first pair
     Tie ties[64];
+
+    const Position& positionOf(const ParticleSource& source, std::uint32_t number);
 };
 
 class ExactTest {
@@ -47,6 +59,8 @@ public:
 
 private:
     enum class Verdict { kNo, kYes, kUndecided };
+    bool isNeighborInGrid(std::uint32_t query, std::uint32_t candidate, ExactTestMemory& memory,
+                          std::uint64_t& exactPairs) const;
     Verdict doubleTest(const StoredPosition& a, const StoredPosition& b) const;
 
     ParticleView mView;

@@ -97,13 +97,14 @@ inline void fillHalo(const BlockView& block, const LeafCells* leaves, HaloScratc
 // Particles of consecutive cells of one column in one of the 27 leaves.
 struct HaloRun {
     std::uint32_t begin, end; // slots
-    std::uint32_t leaf;       // of the neighborhood: 13 is the task's own
+    std::uint16_t leaf;       // of the neighborhood: 13 is the task's own
+    std::uint16_t slab;       // x + reach: 0 is the lowest slab of the halo
 };
 
-// Lists the runs of the leaf and its halo in the order of fillHalo(). Returns their particles, or something larger than
-// `most` as soon as there are more.
+// Lists the runs of the leaf and its halo in the order of fillHalo(), and the first particle of each slab of cells of
+// one x. Returns their particles, or something larger than `most` as soon as there are more.
 inline std::uint32_t listRuns(const BlockView& block, const LeafCells* leaves, std::uint32_t most,
-                              HaloRun* runs, std::uint32_t& runCount)
+                              HaloRun* runs, std::uint32_t& runCount, std::uint32_t* slabStart)
 {
     constexpr std::uint64_t kEachByte = 0x0101010101010101u;
     const int reach = block.reach;
@@ -115,8 +116,9 @@ inline std::uint32_t listRuns(const BlockView& block, const LeafCells* leaves, s
     runCount = 0;
     for (int x = -reach; x < 8 + reach; ++x) {
         const int nx = x < 0 ? 0 : x > 7 ? 2 : 1, w = x & 7;
+        *slabStart++ = particles;
         for (int ny = 0; ny < 3; ++ny) {
-            const std::uint32_t column = nx * 9 + ny * 3;
+            const int column = nx * 9 + ny * 3;
             std::uint64_t words[3], any = 0;
             for (int nz = 0; nz < 3; ++nz)
                 any |= words[nz] = leaves[column + nz].word[w] & zMask[nz] & yMask[ny];
@@ -132,13 +134,15 @@ inline std::uint32_t listRuns(const BlockView& block, const LeafCells* leaves, s
                     const std::uint32_t* const cell =
                         block.cellStart + leaf.firstCell[w] + __builtin_popcountll(below);
                     const std::uint32_t begin = cell[0], end = cell[__builtin_popcountll(bits)];
-                    runs[runCount++] = {begin, end, column + nz};
+                    runs[runCount++] = {begin, end, static_cast<std::uint16_t>(column + nz),
+                                        static_cast<std::uint16_t>(x + reach)};
                     particles += end - begin;
                     if (particles > most) return particles;
                 }
             }
         }
     }
+    *slabStart = particles;
     return particles;
 }
 
@@ -147,7 +151,7 @@ inline void copyRuns(const BlockView& block, const HaloRun* runs, std::uint32_t 
 {
     char* to = scratch.halo();
     for (std::uint32_t r = 0; r < runCount; ++r) {
-        const int n = static_cast<int>(runs[r].leaf);
+        const int n = runs[r].leaf;
         const float shift[3] = {8.0f * (n / 9 - 1), 8.0f * (n / 3 % 3 - 1), 8.0f * (n % 3 - 1)};
         copyRun(block, to, scratch.stride, runs[r].begin, runs[r].end, shift);
         to += std::size_t(runs[r].end - runs[r].begin) * sizeof(float);

@@ -35,9 +35,9 @@ double now()
 
 void checkOptions(const SearchOptions& options)
 {
-    if (options.reach < 1 || options.reach > 3) {
+    if (options.reach < 0 || options.reach > 3) {
         throw InvalidInput("a reach of " + std::to_string(options.reach) +
-                           " cells is not supported: use 1, 2 or 3");
+                           " cells is not supported: use 1, 2 or 3, or 0 to have it chosen");
     }
     if (options.simd != SimdLevel::kBest &&
         static_cast<int>(options.simd) > static_cast<int>(bestSimdLevel())) {

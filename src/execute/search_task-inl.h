@@ -17,7 +17,7 @@ namespace {
 // A leaf is sparse when leaf and halo together hold no more particles than this: then testing them all takes about as
 // many vectors a query as a dense cell's kept candidates, and saves the table of cells, balls and gathering. On spray 256
 // is 5 % of the search faster than 160 and as fast as 400.
-constexpr std::uint32_t kSparseMost = 256;
+constexpr std::uint32_t kSparseMost = 512;
 
 // Tests a query and the next one against the candidates of a frame, and hands each vector's hits to
 // emit(where the vector is, hits of the first, hits of the second). Two at a time read the candidates once for both.
@@ -96,6 +96,9 @@ __attribute__((noinline)) void testBand(const FilterBounds& bounds, Frame frame,
     }
 }
 
+// Where a pair of queries had candidates in the band the next pair probably has too, as on a lattice: rows go to
+// testBand() at once (`tied` in the row makers) until a pair has none.
+
 // Queries that stand together: the first one's candidate, how many, and their slots.
 struct Queries {
     std::uint32_t self, count, slot;
@@ -129,9 +132,11 @@ struct IndexRows {
                 outB += __builtin_popcount(hitsB);
             };
             std::uint32_t countA, countB;
-            if (testPair(bounds, frame, queries.self + q, emit)) {
+            if (tied || testPair(bounds, frame, queries.self + q, emit)) {
+                const std::uint64_t before = statistics.bandPairs;
                 countA = searchBand(frame, queries.self + q, judge, statistics, begin);
                 countB = searchBand(frame, queries.self + q + 1, judge, statistics, begin + countA);
+                tied = statistics.bandPairs != before;
             } else {
                 countA = static_cast<std::uint32_t>(outA - begin);
                 countB = static_cast<std::uint32_t>(outB - second);
@@ -151,7 +156,7 @@ struct IndexRows {
                 Simd::store(out, Simd::compress(numbers, Simd::order(hits)));
                 out += __builtin_popcount(hits);
             };
-            const bool band = testQuery(bounds, frame, queries.self + q, emit);
+            const bool band = tied || testQuery(bounds, frame, queries.self + q, emit);
             const std::uint32_t count = band ? searchBand(frame, queries.self + q, judge, statistics, begin)
                                              : static_cast<std::uint32_t>(out - begin);
             noteRow(queries.slot + q, target.commit(count), count, statistics);
@@ -187,6 +192,7 @@ private:
     const HaloScratch& scratch;
     RowSink& sink;
     Target target;
+    bool tied = false;
 };
 
 struct CountRows {
@@ -211,9 +217,11 @@ struct CountRows {
                 countA += static_cast<std::uint32_t>(__builtin_popcount(hitsA));
                 countB += static_cast<std::uint32_t>(__builtin_popcount(hitsB));
             };
-            if (testPair(bounds, frame, queries.self + q, emit)) {
+            if (tied || testPair(bounds, frame, queries.self + q, emit)) {
+                const std::uint64_t before = statistics.bandPairs;
                 countA = countBand(frame, queries.self + q, judge, statistics);
                 countB = countBand(frame, queries.self + q + 1, judge, statistics);
+                tied = statistics.bandPairs != before;
             }
             rowCount[q] = countA;
             rowCount[q + 1] = countB;
@@ -224,7 +232,7 @@ struct CountRows {
             const auto emit = [&count](const char*, Simd::Mask hits) {
                 count += static_cast<std::uint32_t>(__builtin_popcount(hits));
             };
-            if (testQuery(bounds, frame, queries.self + q, emit)) {
+            if (tied || testQuery(bounds, frame, queries.self + q, emit)) {
                 count = countBand(frame, queries.self + q, judge, statistics);
             }
             rowCount[q] = count;
@@ -249,6 +257,7 @@ private:
 
     const SearchContext& context;
     RowSink& sink;
+    bool tied = false;
 };
 
 // Calls f(lowest, cell, first slot) for each cell with queries of the task; `lowest` points into the halo's cube at the
@@ -353,9 +362,11 @@ struct MaskRows {
                 writerA.append(hitsA);
                 writerB.append(hitsB);
             };
-            if (testPair(bounds, frame, queries.self + q, emit)) {
+            if (tied || testPair(bounds, frame, queries.self + q, emit)) {
+                const std::uint64_t before = statistics.bandPairs;
                 searchBand(frame, queries.self + q, judge, statistics, hitBits);
                 searchBand(frame, queries.self + q + 1, judge, statistics, secondHitBits);
+                tied = statistics.bandPairs != before;
             } else {
                 writerA.finish();
                 writerB.finish();
@@ -366,7 +377,7 @@ struct MaskRows {
         if (q < queries.count) {
             HitWriter writer(hitBits);
             const auto emit = [&writer](const char*, Simd::Mask hits) { writer.append(hits); };
-            if (testQuery(bounds, frame, queries.self + q, emit)) {
+            if (tied || testQuery(bounds, frame, queries.self + q, emit)) {
                 searchBand(frame, queries.self + q, judge, statistics, hitBits);
             } else {
                 writer.finish();
@@ -412,6 +423,7 @@ private:
 
     const SearchContext& context;
     RowSink& sink;
+    bool tied = false;
     const std::uint64_t* keepBits;
     std::uint64_t* hitBits;
     std::uint64_t* secondHitBits;
@@ -424,20 +436,22 @@ bool searchSparse(const SearchContext& context, const SearchTask& task, const Le
 {
     if (task.endSlot - task.firstSlot > kSparseMost) return false;
     HaloRun runs[kSparseMost + 1]; // each holds a particle at least
-    std::uint32_t runCount = 0;
-    const std::uint32_t particles = listRuns(context.block, leaves, kSparseMost, runs, runCount);
+    std::uint32_t runCount = 0, slabStart[HaloScratch::kMaxSide + 1];
+    const std::uint32_t particles = listRuns(context.block, leaves, kSparseMost, runs, runCount, slabStart);
     if (particles > kSparseMost) return false;
     copyRuns(context.block, runs, runCount, scratch);
-    const HaloFrame frame{scratch.halo(), scratch.stride, particles};
     Rows rows(context, task, scratch, sink);
     std::uint32_t at = 0;
     for (std::uint32_t r = 0; r < runCount; at += runs[r].end - runs[r].begin, ++r) {
         if (runs[r].leaf != 13) continue;
         const std::uint32_t begin = runs[r].begin > task.firstSlot ? runs[r].begin : task.firstSlot;
         const std::uint32_t end = runs[r].end < task.endSlot ? runs[r].end : task.endSlot;
-        if (begin < end) {
-            rows.search(frame, {at + (begin - runs[r].begin), end - begin, begin}, judge, statistics);
-        }
+        if (begin >= end) continue;
+        // The last vector may hold particles of the next slab: those are out of reach, so the test says no.
+        const int slab = runs[r].slab, reach = context.block.reach;
+        const std::uint32_t from = slabStart[slab - reach], to = slabStart[slab + reach + 1];
+        const HaloFrame frame{scratch.halo() + std::size_t(from) * sizeof(float), scratch.stride, to - from};
+        rows.search(frame, {at - from + (begin - runs[r].begin), end - begin, begin}, judge, statistics);
     }
     rows.finish();
     return true;

@@ -73,12 +73,10 @@ private:
 // Orders leaves by 4096^3 node, then in Morton order inside it (512^3 leaves, 9 bits an axis).
 class RootOrder {
 public:
-    void add(const LeafTable& leaves)
+    void add(const Vec3i& leaf)
     {
-        for (std::uint32_t i = 0; i < leaves.size(); ++i) {
-            const Vec3i root = rootOf(leaves.leaf(i));
-            if (mRoots.empty() || mRoots.back() != root) mRoots.push_back(root);
-        }
+        const Vec3i root = rootOf(leaf);
+        if (mRoots.empty() || mRoots.back() != root) mRoots.push_back(root);
     }
 
     void finish()

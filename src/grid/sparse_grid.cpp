@@ -5,9 +5,11 @@
 //   2. merge:  the chunks' leaves into one list in Morton order, and where each chunk writes into each leaf
 //   3. scatter: leaf-local positions to their leaf
 //   4. cells:  a counting sort inside each leaf
+// Where the leaves of a file serve as they are, nothing of this is done: see file_leaves.h.
 #include "vdb_nns/sparse_grid.h"
 
 #include "grid/cell_map.h"
+#include "grid/file_leaves.h"
 #include "grid/leaf_table.h"
 #include "grid/sparse_grid_data.h"
 #include "particles/particle_source.h"
@@ -23,6 +25,8 @@
 #include <cmath>
 #include <limits>
 #include <string>
+#include <utility>
+#include <vector>
 
 namespace vdb_nns {
 
@@ -105,36 +109,65 @@ void mergeLeaves(std::vector<Chunk>& chunks, SparseGridData& grid)
         std::uint64_t key;
         std::uint32_t chunk, local;
     };
-    const RootOrder roots = [&] {
-        RootOrder order;
-        for (const Chunk& chunk : chunks) order.add(chunk.leaves);
-        order.finish();
-        return order;
-    }();
-    std::vector<Entry> entries;
-    for (std::uint32_t c = 0; c < chunks.size(); ++c) {
-        const LeafTable& leaves = chunks[c].leaves;
-        for (std::uint32_t l = 0; l < leaves.size(); ++l)
-            entries.push_back({roots.key(leaves.leaf(l)), c, l});
-        chunks[c].cursor.resize(leaves.size());
+    RootOrder roots;
+    std::vector<std::size_t> firstEntry(1, 0);
+    for (const Chunk& chunk : chunks) {
+        for (std::uint32_t l = 0; l < chunk.leaves.size(); ++l) roots.add(chunk.leaves.leaf(l));
+        firstEntry.push_back(firstEntry.back() + chunk.leaves.size());
     }
+    roots.finish();
+    std::vector<Entry> entries(firstEntry.back());
+    tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t c) {
+        const LeafTable& leaves = chunks[c].leaves;
+        Entry* const out = entries.data() + firstEntry[c];
+        for (std::uint32_t l = 0; l < leaves.size(); ++l) {
+            out[l] = {roots.key(leaves.leaf(l)), static_cast<std::uint32_t>(c), l};
+        }
+        chunks[c].cursor.resize(leaves.size());
+    });
     tbb::parallel_sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) {
         return a.key != b.key ? a.key < b.key : a.chunk < b.chunk;
     });
-    grid.leafOrigins.clear();
-    grid.leaves.clear();
-    std::uint32_t slot = 0;
-    for (std::size_t e = 0; e < entries.size(); ++e) {
-        Chunk& chunk = chunks[entries[e].chunk];
-        if (e == 0 || entries[e].key != entries[e - 1].key) {
-            const Vec3i& leaf = chunk.leaves.leaf(entries[e].local);
-            grid.leafOrigins.push_back({leaf[0] * 8, leaf[1] * 8, leaf[2] * 8});
-            grid.leaves.push_back({slot, 0, nullptr});
+    // In parts: what each begins with is known once the leaves and particles of those before it are counted.
+    struct Part {
+        std::size_t begin, end, leaves;
+        std::uint32_t particles;
+    };
+    const std::size_t partCount = 4 * static_cast<std::size_t>(tbb::this_task_arena::max_concurrency());
+    std::vector<Part> parts(partCount);
+    const auto isFirst = [&](std::size_t e) { return e == 0 || entries[e].key != entries[e - 1].key; };
+    tbb::parallel_for(std::size_t(0), partCount, [&](std::size_t p) {
+        Part part{entries.size() * p / partCount, entries.size() * (p + 1) / partCount, 0, 0};
+        for (std::size_t e = part.begin; e < part.end; ++e) {
+            part.leaves += isFirst(e);
+            part.particles += chunks[entries[e].chunk].leaves.count(entries[e].local);
         }
-        chunk.cursor[entries[e].local] = slot;
-        slot += chunk.leaves.count(entries[e].local);
+        parts[p] = part;
+    });
+    std::size_t leafCount = 0;
+    std::uint32_t particles = 0;
+    for (Part& part : parts) {
+        leafCount += std::exchange(part.leaves, leafCount);
+        particles += std::exchange(part.particles, particles);
     }
-    grid.leaves.push_back({slot, 0, nullptr});
+    grid.leafOrigins.resize(leafCount);
+    grid.leaves.resize(leafCount + 1);
+    tbb::parallel_for(std::size_t(0), partCount, [&](std::size_t p) {
+        std::size_t leaf = parts[p].leaves;
+        std::uint32_t slot = parts[p].particles;
+        for (std::size_t e = parts[p].begin; e < parts[p].end; ++e) {
+            Chunk& chunk = chunks[entries[e].chunk];
+            const std::uint32_t local = entries[e].local;
+            if (isFirst(e)) {
+                const Vec3i& at = chunk.leaves.leaf(local);
+                grid.leafOrigins[leaf] = {at[0] * 8, at[1] * 8, at[2] * 8};
+                grid.leaves[leaf++] = {slot, 0, nullptr};
+            }
+            chunk.cursor[local] = slot;
+            slot += chunk.leaves.count(local);
+        }
+    });
+    grid.leaves[leafCount] = {particles, 0, nullptr};
 }
 
 void scatterChunk(const ParticleSource& source, const CellMap& map, Chunk& chunk, const std::uint32_t* leafOf,
@@ -254,8 +287,9 @@ double coordinateErrorOf(const CellMap& map, const std::vector<Vec3i>& leafOrigi
     return map.errorCells(most);
 }
 
-// Before the arrays are made: what the grid needs at the least, one occupied cell a leaf.
-void checkCapacity(const SparseGridData& grid, std::size_t particles, std::uint64_t hostMemoryBytes)
+} // namespace
+
+void checkGridCapacity(const SparseGridData& grid, std::size_t particles, std::uint64_t hostMemoryBytes)
 {
     const std::uint64_t leafBytes =
         sizeof(LeafRecord) + sizeof(Vec3i) + Topology::kBytesPerLeaf + sizeof(std::uint32_t);
@@ -270,14 +304,14 @@ void checkCapacity(const SparseGridData& grid, std::size_t particles, std::uint6
                         needed, allowed);
 }
 
-} // namespace
-
 void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options,
                      GridScratch& scratch, SparseGridData& grid)
 {
     const ParticleSource& source = view.source();
     const CancelCheck cancel(options.progress, "grid");
-    CellMap map(source, radius, options.reach, options.simd);
+    if (options.reach == 0 && takeOverLeaves(view, radius, options, grid)) return;
+    const int reach = std::max(options.reach, 1);
+    CellMap map(source, radius, reach, options.simd);
     std::vector<Chunk> chunks = makeChunks(source.size());
     scratch.leafOf.resizeDiscarding(source.size());
     Located located = locate(source, map, chunks, scratch.leafOf.data(), cancel);
@@ -297,7 +331,7 @@ void buildSparseGrid(const ParticleView& view, double radius, const SearchOption
     mergeLeaves(chunks, grid);
     grid.view = view;
     grid.radius = radius;
-    grid.reach = options.reach;
+    grid.reach = reach;
     grid.cellsPerUnit = map.cellsPerUnit;
     grid.radiusCells = radius * map.cellsPerUnit;
     grid.coordinateError = coordinateErrorOf(map, grid.leafOrigins);
@@ -306,7 +340,7 @@ void buildSparseGrid(const ParticleView& view, double radius, const SearchOption
     }
     grid.nonfiniteCount = located.nonfinite;
     const std::size_t particles = grid.leaves.back().firstSlot;
-    checkCapacity(grid, particles, options.hostMemoryBytes);
+    checkGridCapacity(grid, particles, options.hostMemoryBytes);
     scratch.records.resizeDiscarding(particles);
     tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t c) {
         scatterChunk(source, map, chunks[c], scratch.leafOf.data(), scratch.records.data(), cancel);

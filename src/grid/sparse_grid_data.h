@@ -46,6 +46,10 @@ struct GridScratch {
     PageArray<std::uint32_t> leafOf; // by particle; later starts of cells by slot
 };
 
+// Throws CapacityError when a grid with the leaves of `grid` and so many particles cannot fit, with one occupied cell a
+// leaf. Before its arrays are made.
+void checkGridCapacity(const SparseGridData& grid, std::size_t particles, std::uint64_t hostMemoryBytes);
+
 // Sorts the particles of `view` into `grid`, whose memory is reused. Throws as SearchEngine::buildGrid().
 void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options,
                      GridScratch& scratch, SparseGridData& grid);

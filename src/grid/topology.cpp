@@ -8,6 +8,8 @@
 
 #include <tbb/parallel_for.h>
 
+#include <algorithm>
+#include <memory>
 #include <vector>
 
 namespace vdb_nns {
@@ -45,7 +47,24 @@ std::vector<std::size_t> nodeRuns(Span<const Vec3i> origins, int log2Dim)
 
 struct Topology::Tree {
     openvdb::MaskTree tree;
-    std::vector<Leaf*> leaves; // owned by the tree
+    std::vector<Leaf*> leaves;           // owned by the tree
+    std::vector<Lower*> lowers;          // owned by the tree
+    std::vector<std::size_t> lowerBegin; // index of each lower node's first leaf, and the end
+    std::vector<std::unique_ptr<Leaf>> spare;
+
+    // Takes the tree apart but for its leaves: making and freeing those, one by one, costs as much as all else of a build.
+    void reclaimLeaves()
+    {
+        spare.resize(std::max(spare.size(), leaves.size()));
+        tbb::parallel_for(std::size_t(0), lowers.size(), [&](std::size_t n) {
+            for (std::size_t i = lowerBegin[n]; i < lowerBegin[n + 1]; ++i) {
+                spare[i].reset(lowers[n]->stealNode<Leaf>(leaves[i]->origin(), false, false));
+            }
+        });
+        leaves.clear();
+        lowers.clear();
+        tree.clear();
+    }
 };
 
 Topology::Topology() : mTree(std::make_unique<Tree>()) {}
@@ -53,19 +72,27 @@ Topology::~Topology() = default;
 
 void Topology::build(Span<const Vec3i> origins)
 {
-    mTree->tree.clear();
-    mTree->leaves.resize(origins.size());
-    const std::vector<std::size_t> runs = nodeRuns(origins, 7);
-    std::vector<Lower*> lowers(runs.size() - 1);
+    mTree->reclaimLeaves();
+    std::vector<std::unique_ptr<Leaf>>& spare = mTree->spare;
+    spare.resize(origins.size());
+    mTree->lowerBegin = nodeRuns(origins, 7);
+    const std::vector<std::size_t>& runs = mTree->lowerBegin;
+    std::vector<std::unique_ptr<Lower>> lowers(runs.size() - 1);
+    std::vector<Leaf*> leaves(origins.size());
     tbb::parallel_for(std::size_t(0), lowers.size(), [&](std::size_t n) {
-        lowers[n] = new Lower(originOf(origins[runs[n]], 7), false);
+        lowers[n] = std::make_unique<Lower>(originOf(origins[runs[n]], 7), false);
         for (std::size_t i = runs[n]; i < runs[n + 1]; ++i) {
-            Leaf* leaf = new Leaf(coordOf(origins[i]), false);
+            if (!spare[i]) spare[i] = std::make_unique<Leaf>(coordOf(origins[i]), false);
+            Leaf* const leaf = spare[i].release();
+            leaves[i] = leaf;
+            leaf->setOrigin(coordOf(origins[i]));
+            leaf->setValuesOff();
             leaf->setTransientData(static_cast<openvdb::Index32>(i));
-            mTree->leaves[i] = leaf;
             lowers[n]->addChild(leaf);
         }
     });
+    std::vector<Lower*> inTree;
+    inTree.reserve(lowers.size());
     Upper* upper = nullptr;
     for (std::size_t n = 0; n < lowers.size(); ++n) {
         const openvdb::Coord origin = originOf(origins[runs[n]], 12);
@@ -73,8 +100,11 @@ void Topology::build(Span<const Vec3i> origins)
             upper = new Upper(origin, false);
             mTree->tree.root().addChild(upper);
         }
-        upper->addChild(lowers[n]);
+        inTree.push_back(lowers[n].release());
+        upper->addChild(inTree.back());
     }
+    mTree->leaves = std::move(leaves);
+    mTree->lowers = std::move(inTree);
 }
 
 std::uint64_t* Topology::occupancy(std::size_t i)
@@ -91,21 +121,28 @@ void Topology::neighborhoods(Span<const Vec3i> origins, LeafNeighborhood* out) c
     for (std::size_t i = 0; i < origins.size(); ++i) {
         const openvdb::Coord origin = coordOf(origins[i]);
         std::uint32_t* leaf = out[i].leaf;
-        // Two leaves in three have all their neighbors in their own 128^3 node: those are read from its table.
+        // Most leaves have most of their neighbors in their own 128^3 node: those are read from its table, and three of a
+        // column at a time from its mask, for on sparse scenes most are empty.
         const auto* const lower = accessor.template probeConstNode<Lower>(origin);
         const int x0 = origin.x() >> 3 & 15, y0 = origin.y() >> 3 & 15, z0 = origin.z() >> 3 & 15;
+        const bool zInside = z0 > 0 && z0 < 15;
         for (int x = -1; x <= 1; ++x) {
-            for (int y = -1; y <= 1; ++y) {
-                for (int z = -1; z <= 1; ++z) {
-                    const int nx = x0 + x, ny = y0 + y, nz = z0 + z;
-                    const Leaf* found;
-                    if (lower && !((nx | ny | nz) & ~15)) {
-                        const openvdb::Index n = nx << 8 | ny << 4 | nz;
-                        found = lower->isChildMaskOn(n) ? lower->getTable()[n].getChild() : nullptr;
-                    } else {
-                        found = accessor.probeConstLeaf(origin.offsetBy(8 * x, 8 * y, 8 * z));
+            for (int y = -1; y <= 1; ++y, leaf += 3) {
+                const int nx = x0 + x, ny = y0 + y;
+                if (lower && zInside && !((nx | ny) & ~15)) {
+                    const openvdb::Index n = nx << 8 | ny << 4 | (z0 - 1);
+                    const std::uint64_t word =
+                        lower->getChildMask().template getWord<openvdb::Index64>(n >> 6);
+                    const auto bits = static_cast<unsigned>(word >> (n & 63));
+                    for (unsigned z = 0; z < 3; ++z) {
+                        leaf[z] =
+                            bits >> z & 1 ? lower->getTable()[n + z].getChild()->transientData() : kNoLeaf;
                     }
-                    *leaf++ = found ? found->transientData() : kNoLeaf;
+                    continue;
+                }
+                for (int z = -1; z <= 1; ++z) {
+                    const Leaf* const found = accessor.probeConstLeaf(origin.offsetBy(8 * x, 8 * y, 8 * z));
+                    leaf[z + 1] = found ? found->transientData() : kNoLeaf;
                 }
             }
         }

@@ -10,8 +10,15 @@
 namespace vdb_nns {
 
 struct StoredPosition {
-    std::int64_t voxel[3]; // |voxel| <= 2^31 + 2^15
-    double offset[3];      // floats are widened exactly
+    std::int64_t voxel[3]; // of grids; a 32-bit integer
+    double offset[3];      // of grids a float, widened; of arrays whatever double they hold
+};
+
+// A leaf of 8^3 voxels of a VDB point grid, with particles.
+struct FileLeaf {
+    Vec3i origin;                // its lowest voxel
+    std::uint64_t firstParticle; // its particles are numbered on from there, voxel by voxel
+    const std::uint32_t* ends;   // of 512 voxels, z fastest: its particles end there, counted in the leaf
 };
 
 class ParticleSource {
@@ -36,6 +43,10 @@ public:
     // Non-finite positions come out non-finite. Thread-safe.
     virtual void read(std::size_t begin, std::size_t count, const Vec3d& reference, double* x, double* y,
                       double* z) const = 0;
+
+    // Leaves with particles, in the order of their particles. None for arrays.
+    virtual std::size_t fileLeafCount() const { return 0; }
+    virtual FileLeaf fileLeaf(std::size_t) const { return {}; }
 
 protected:
     std::size_t mSize = 0;

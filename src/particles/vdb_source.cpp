@@ -4,6 +4,7 @@
 #include "vdb_nns/openvdb_bridge.h"
 
 #include "particles/particle_source.h"
+#include "particles/voxel_ends.h"
 #include "vdb_nns/error.h"
 
 #include <openvdb/points/AttributeArray.h>
@@ -20,8 +21,6 @@
 #include <limits>
 #include <memory>
 #include <vector>
-
-#include <emmintrin.h>
 
 namespace vdb_nns {
 
@@ -227,6 +226,8 @@ public:
     StoredPosition stored(std::size_t i) const override;
     void read(std::size_t begin, std::size_t count, const Vec3d& reference, double* x, double* y,
               double* z) const override;
+    std::size_t fileLeafCount() const override { return mLeaves.size(); }
+    FileLeaf fileLeaf(std::size_t i) const override;
 
 private:
     void setReference();
@@ -279,6 +280,14 @@ void VdbSource::setReference()
     }
 }
 
+FileLeaf VdbSource::fileLeaf(std::size_t i) const
+{
+    const openvdb::Coord& origin = mLeaves[i].origin;
+    return {{origin.x(), origin.y(), origin.z()},
+            mStarts[i],
+            reinterpret_cast<const std::uint32_t*>(mLeaves[i].ends)};
+}
+
 std::size_t VdbSource::leafOf(std::size_t i) const
 {
     // Neighbors mostly share their query's leaf. The hint is only a guess: it is checked against this
@@ -320,32 +329,13 @@ StoredPosition VdbSource::stored(std::size_t i) const
     return position;
 }
 
-// Bit n: voxel n holds points. Without branches, since where a spray has points cannot be predicted.
-void findOccupied(const VoxelOffset* ends, std::uint64_t (&occupied)[8])
-{
-    static_assert(Leaf::SIZE == 512, "8 words of 64 voxels");
-    const __m128i* const at = reinterpret_cast<const __m128i*>(ends);
-    __m128i before = _mm_setzero_si128(); // its last value is the end of the voxel before
-    for (int word = 0; word < 8; ++word) {
-        std::uint64_t empty = 0;
-        for (int i = 0; i < 16; ++i) {
-            const __m128i here = _mm_loadu_si128(at + word * 16 + i);
-            const __m128i shifted = _mm_or_si128(_mm_slli_si128(here, 4), _mm_srli_si128(before, 12));
-            const int equal = _mm_movemask_ps(_mm_castsi128_ps(_mm_cmpeq_epi32(here, shifted)));
-            empty |= static_cast<std::uint64_t>(equal) << (4 * i);
-            before = here;
-        }
-        occupied[word] = ~empty;
-    }
-}
-
 // Writes the points [begin, end) of a leaf whose lowest voxel is at `corner` less the reference.
 template <typename Codec, bool isUniform>
 void readLeafPoints(const LeafPoints& leaf, std::size_t begin, std::size_t end, const double (&corner)[3],
                     Output& out)
 {
     std::uint64_t occupied[8];
-    findOccupied(leaf.ends, occupied);
+    findOccupied(reinterpret_cast<const std::uint32_t*>(leaf.ends), occupied);
     std::size_t next = begin;
     for (int x = 0; x < 8; ++x) {
         for (std::uint64_t bits = occupied[x]; bits != 0 && next < end; bits &= bits - 1) {

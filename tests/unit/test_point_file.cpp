@@ -1,9 +1,11 @@
 // Point grids and point files: every value as OpenVDB's own handles give it, damage noticed, and a file
 // written again with nothing changed but the attribute that was added.
 #include "particles/particle_source.h"
+#include "support/comparator.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/openvdb_bridge.h"
 #include "vdb_nns/point_file.h"
+#include "vdb_nns/search.h"
 
 #include <gtest/gtest.h>
 #include <openvdb/io/Stream.h>
@@ -19,6 +21,7 @@
 #include <iterator>
 #include <limits>
 #include <random>
+#include <set>
 
 #include <sys/resource.h>
 
@@ -43,7 +46,7 @@ using Truncate = points::TruncateCodec;
 using Fixed16 = points::FixedPointCodec<false, points::PositionRange>;
 using Fixed8 = points::FixedPointCodec<true, points::PositionRange>;
 
-class PointFileTest : public testing::Test {
+class PointFileTest : public ::testing::Test {
 protected:
     PointFileTest()
     {
@@ -174,6 +177,86 @@ void checkView(const ParticleView& view, const PointDataGrid& grid)
             ASSERT_TRUE(isSame(got[k], exactPart + stored.offset[k])) << i;
         }
     }
+}
+
+// ------------------------------------------------------------------------------------------------ leaves taken over
+
+// Searches with the cells that suit the grid, tells whether they are its voxels, and holds the lists against the oracle.
+bool usesVoxels(const PointDataGrid::Ptr& grid, double radius)
+{
+    SCOPED_TRACE("radius " + std::to_string(radius));
+    const ParticleView view = viewOf(grid);
+    testing::PointSet set{"grid", radius, {}, view.linear()};
+    for (const Expected& point : expectedPoints(*grid)) {
+        set.points.push_back({{point.voxel.x(), point.voxel.y(), point.voxel.z()},
+                              {point.offset.x(), point.offset.y(), point.offset.z()}});
+    }
+    const testing::Lists oracle = testing::oracleLists(set);
+    SearchEngine engine;
+    SearchOptions options;
+    const SparseGrid cells = engine.buildGrid(view, radius, options);
+    for (const Encoding encoding : {Encoding::kIndex, Encoding::kMask}) {
+        options.encoding = encoding;
+        EXPECT_TRUE(testing::sameLists(engine.search(cells, options), oracle, set));
+    }
+    const std::vector<std::uint32_t> numbers(cells.particleNumbers().begin(), cells.particleNumbers().end());
+    EXPECT_EQ(std::set<std::uint32_t>(numbers.begin(), numbers.end()).size(), cells.particleCount());
+    std::uint64_t occupied = 0, leaves = 0;
+    for (auto leaf = grid->tree().cbeginLeaf(); leaf; ++leaf) {
+        leaves += leaf->pointCount() > 0;
+        for (openvdb::Index v = 0; v < Leaf::SIZE; ++v) {
+            occupied += openvdb::Index32(leaf->getValue(v)) !=
+                        (v ? openvdb::Index32(leaf->getValue(v - 1)) : openvdb::Index32(0));
+        }
+    }
+    const double edge = std::fabs(view.linear()[0][0]);
+    const bool uses = std::fabs(cells.cellSize() / edge - 1) < 1e-12;
+    if (uses) {
+        EXPECT_EQ(cells.leafCount(), leaves);
+        EXPECT_EQ(cells.cellCount(), occupied);
+    } else {
+        EXPECT_NEAR(cells.cellSize(), radius, 1e-4 * radius);
+    }
+    return uses;
+}
+
+TEST_F(PointFileTest, voxelsServeAsCellsWhereTheRadiusIsHalfToOneVoxel)
+{
+    const auto scale = [](double edge) { return openvdb::math::Transform::createLinearTransform(edge); };
+    const auto check = [](const PointDataGrid::Ptr& grid, double edge) {
+        for (const double ratio : {0.5, 0.75, 0.999999}) EXPECT_TRUE(usesVoxels(grid, ratio * edge)) << ratio;
+        for (const double ratio : {0.49999, 1.0, 1.5}) EXPECT_FALSE(usesVoxels(grid, ratio * edge)) << ratio;
+    };
+    check(makeGrid<points::NullCodec>(600, "points", scale(0.3)), 0.3);
+    check(makeGrid<Truncate>(600, "points", scale(0.3)), 0.3);
+    check(makeGrid<Fixed16>(600, "points", scale(0.3)), 0.3);
+    check(makeGrid<Fixed8>(600, "points", scale(0.3)), 0.3);
+    const auto mirror = scale(0.3);
+    mirror->postScale(openvdb::Vec3d(-1, 1, 1));
+    mirror->postTranslate(openvdb::Vec3d(1e3, -1e-3, 7));
+    check(makeGrid<points::NullCodec>(600, "points", mirror), 0.3);
+}
+
+TEST_F(PointFileTest, voxelsDoNotServeAsCellsWherePairsCouldBeLost)
+{
+    const auto uneven = openvdb::math::Transform::createLinearTransform(0.3);
+    uneven->postScale(openvdb::Vec3d(1, 1, 1.001));
+    EXPECT_FALSE(usesVoxels(makeGrid<points::NullCodec>(600, "points", uneven), 0.25));
+    const auto turned = openvdb::math::Transform::createLinearTransform(0.3);
+    turned->postRotate(1e-3, openvdb::math::X_AXIS);
+    EXPECT_FALSE(usesVoxels(makeGrid<points::NullCodec>(600, "points", turned), 0.25));
+
+    const auto gridWith = [](const Vec3f& offset) {
+        const PointDataGrid::Ptr grid = PointDataGrid::create();
+        // Neighbors whose voxels are two apart, when the first leaves its own.
+        addLeaf(*grid, Coord(0), {{0, offset}, {2, Vec3f(0, 0, -0.5f)}, {2, Vec3f(0.5f)}, {511, Vec3f(0)}});
+        addLeaf(*grid, Coord(0, 0, -8), {{7, Vec3f(-0.5f, 0.5f, 0.5f)}, {448, Vec3f(0.25f)}});
+        return grid;
+    };
+    EXPECT_TRUE(usesVoxels(gridWith(Vec3f(0.5f)), 0.99));
+    EXPECT_FALSE(usesVoxels(gridWith(Vec3f(0, 0, 0.50001f)), 0.99));
+    EXPECT_FALSE(usesVoxels(gridWith(Vec3f(0, 0, 0.75f)), 0.99));
+    EXPECT_FALSE(usesVoxels(gridWith(Vec3f(std::numeric_limits<float>::quiet_NaN(), 0, 0)), 0.99));
 }
 
 // ------------------------------------------------------------------------------------------------ views

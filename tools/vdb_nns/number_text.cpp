@@ -113,7 +113,8 @@ double parsePositive(const std::string& text, const std::string& flag)
 int parseReach(const std::string& text)
 {
     const std::string flag = "--cell-size";
-    if (text == "auto" || text == "1") return 1;
+    if (text == "auto") return 0;
+    if (text == "1") return 1;
     if (text == "1/2") return 2;
     if (text == "1/3") return 3;
     const double ratio = parsePositive(text, flag);

@@ -1,0 +1,173 @@
+// See file_leaves.h.
+#include "grid/file_leaves.h"
+
+#include "grid/cell_map.h"
+#include "grid/leaf_table.h"
+#include "particles/particle_source.h"
+#include "particles/voxel_ends.h"
+#include "util/cancel.h"
+
+#include <tbb/parallel_for.h>
+#include <tbb/parallel_sort.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <utility>
+#include <vector>
+
+namespace vdb_nns {
+
+namespace {
+
+// Voxels at most twice as wide as the radius. With block 4 M at 0.5 the search is still 3.6 times faster than in sorted
+// cells, because those hold one particle each.
+constexpr double kLeastRadius = 0.5;
+
+// Edges may differ by that share: transforms that were composed have rounded entries.
+constexpr double kUneven = 1e-12;
+
+// Edge of a voxel if the transform does nothing but scale and mirror, the same on each axis; else 0.
+double voxelEdge(const Matrix3& linear)
+{
+    const double edge = std::fabs(linear[0][0]);
+    for (int k = 0; k < 3; ++k) {
+        for (int c = 0; c < 3; ++c) {
+            if (!(std::fabs(std::fabs(linear[k][c]) - (k == c ? edge : 0)) <= kUneven * (k == c) * edge))
+                return 0;
+        }
+    }
+    return edge;
+}
+
+// The file's leaves in the order of the grid. Empty when cell coordinates would be out of range.
+std::vector<FileLeaf> sortedLeaves(const ParticleSource& source)
+{
+    std::vector<FileLeaf> leaves(source.fileLeafCount());
+    std::vector<std::pair<std::uint64_t, std::uint32_t>> order(leaves.size());
+    RootOrder roots;
+    const auto cellsOf = [](const FileLeaf& leaf) {
+        return Vec3i{leaf.origin[0] >> 3, leaf.origin[1] >> 3, leaf.origin[2] >> 3};
+    };
+    for (std::size_t i = 0; i < leaves.size(); ++i) {
+        leaves[i] = source.fileLeaf(i);
+        for (const std::int32_t origin : leaves[i].origin) {
+            if (!(std::fabs(origin + 4.0) + 4 < CellMap::kLimit)) return {};
+        }
+        roots.add(cellsOf(leaves[i]));
+    }
+    roots.finish();
+    for (std::size_t i = 0; i < leaves.size(); ++i) {
+        order[i] = {roots.key(cellsOf(leaves[i])), static_cast<std::uint32_t>(i)};
+    }
+    tbb::parallel_sort(order.begin(), order.end());
+    std::vector<FileLeaf> sorted(leaves.size());
+    for (std::size_t i = 0; i < order.size(); ++i) sorted[i] = leaves[order[i].second];
+    return sorted;
+}
+
+std::uint32_t occupiedCells(const FileLeaf& leaf, std::uint64_t* occupancy)
+{
+    findOccupied(leaf.ends, occupancy);
+    std::uint32_t cells = 0;
+    for (int w = 0; w < 8; ++w) cells += static_cast<std::uint32_t>(__builtin_popcountll(occupancy[w]));
+    return cells;
+}
+
+// Copies the particles of a leaf and makes its starts of cells. False when one is outside its voxel or not finite.
+bool copyLeaf(const ParticleSource& source, const FileLeaf& leaf, const LeafRecord& record,
+              SparseGridData& grid)
+{
+    constexpr std::size_t kBatch = CellMap::kBatch;
+    const double reference[3] = {double(leaf.origin[0]), double(leaf.origin[1]), double(leaf.origin[2])};
+    double at[3][kBatch];
+    const std::uint32_t count = leaf.ends[511];
+    std::uint32_t* start = grid.cellStart.data() + record.firstCell;
+    std::uint32_t batchBegin = 0, batchEnd = 0, i = 0;
+    bool inside = true;
+    for (int x = 0; x < 8; ++x) {
+        for (std::uint64_t word = record.occupancy[x]; word; word &= word - 1) {
+            const int yz = __builtin_ctzll(word);
+            const double voxel[3] = {double(x), double(yz >> 3), double(yz & 7)};
+            const std::uint32_t end = leaf.ends[x * 64 + yz];
+            *start++ = record.firstSlot + i;
+            for (; i < end; ++i) {
+                if (i == batchEnd) {
+                    batchBegin = i;
+                    batchEnd = std::min<std::uint32_t>(count, i + kBatch);
+                    source.read(leaf.firstParticle + i, batchEnd - i,
+                                {reference[0], reference[1], reference[2]}, at[0], at[1], at[2]);
+                }
+                const std::uint32_t b = i - batchBegin, slot = record.firstSlot + i;
+                for (int k = 0; k < 3; ++k) inside &= std::fabs(at[k][b] - voxel[k]) <= 0.5;
+                grid.x[slot] = static_cast<float>(at[0][b] - 3.5);
+                grid.y[slot] = static_cast<float>(at[1][b] - 3.5);
+                grid.z[slot] = static_cast<float>(at[2][b] - 3.5);
+                grid.number[slot] = static_cast<std::uint32_t>(leaf.firstParticle + i);
+            }
+        }
+    }
+    return inside;
+}
+
+} // namespace
+
+bool takeOverLeaves(const ParticleView& view, double radius, const SearchOptions& options,
+                    SparseGridData& grid)
+{
+    const ParticleSource& source = view.source();
+    if (source.isArray() || source.size() == 0) return false;
+    const double edge = voxelEdge(source.linear()), radiusCells = radius / edge;
+    // A little below 1, so that neither the rounding of the quotient nor uneven edges matter.
+    if (!(edge > 1e-290 && edge < 1e290 && radiusCells < 1 - 2 * kUneven && radiusCells >= kLeastRadius)) {
+        return false;
+    }
+    const std::vector<FileLeaf> leaves = sortedLeaves(source);
+    if (leaves.empty()) return false;
+    const CancelCheck cancel(options.progress, "grid");
+    grid.leafOrigins.resize(leaves.size());
+    grid.leaves.resize(leaves.size() + 1);
+    std::uint32_t slot = 0;
+    for (std::size_t l = 0; l < leaves.size(); ++l) {
+        grid.leafOrigins[l] = leaves[l].origin;
+        grid.leaves[l].firstSlot = slot;
+        slot += leaves[l].ends[511];
+    }
+    grid.view = view;
+    grid.radius = radius;
+    grid.reach = 1;
+    grid.cellsPerUnit = 1 / edge;
+    grid.radiusCells = radiusCells;
+    grid.coordinateError = 16 * kUneven; // of positions less than 12 cells from the leaf's centre
+    grid.nonfiniteCount = 0;
+    checkGridCapacity(grid, slot, options.hostMemoryBytes);
+    grid.topology.build({grid.leafOrigins.data(), leaves.size()});
+    const tbb::blocked_range<std::size_t> range(0, leaves.size(), 16);
+    tbb::parallel_for(range, [&](const auto& r) {
+        cancel.check();
+        for (std::size_t l = r.begin(); l < r.end(); ++l) {
+            std::uint64_t* const occupancy = grid.topology.occupancy(l);
+            grid.leaves[l].occupancy = occupancy;
+            grid.leaves[l].firstCell = occupiedCells(leaves[l], occupancy);
+        }
+    });
+    std::uint32_t cells = 0;
+    for (std::size_t l = 0; l < leaves.size(); ++l) cells += std::exchange(grid.leaves[l].firstCell, cells);
+    grid.leaves[leaves.size()] = {slot, cells, nullptr};
+    cancel.update(0.3);
+    for (PageArray<float>* array : {&grid.x, &grid.y, &grid.z}) array->resizeDiscarding(slot);
+    grid.number.resizeDiscarding(slot);
+    grid.cellStart.resizeDiscarding(std::size_t(cells) + 1);
+    grid.cellStart[cells] = slot;
+    std::atomic<bool> inside{true};
+    tbb::parallel_for(range, [&](const auto& r) {
+        cancel.check();
+        for (std::size_t l = r.begin(); l < r.end() && inside; ++l) {
+            if (!copyLeaf(source, leaves[l], grid.leaves[l], grid)) inside = false;
+        }
+    });
+    if (inside) cancel.update(1);
+    return inside;
+}
+
+} // namespace vdb_nns
