@@ -21,7 +21,9 @@ ParticleView viewOf(const openvdb::points::PointDataGrid::ConstPtr& grid);
 
 /// Adds or replaces the int32 attribute `name` of a point grid; other attributes are left as they are.
 /// @param values one value a point, in the numbering of viewOf().
-/// @throws InvalidInput if the sizes differ, or if the attribute exists and `overwrite` is false
+/// @throws InvalidInput if the sizes differ, a value is above 2^31-1, the name is not valid, the attribute exists and
+///         `overwrite` is false, or it is P or a group
+/// @throws InputError if the leaves do not share one set of attributes
 void setPointAttribute(openvdb::points::PointDataGrid& grid, const std::string& name,
                        Span<const std::uint32_t> values, bool overwrite = false);
 

@@ -5,11 +5,20 @@
 #include "vdb_nns/types.h"
 
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 
 namespace vdb_nns {
 
 class ParticleSource; // src/particles/particle_source.h
+
+/// The exact position of a particle as its source holds it: linear() * (voxel + offset) is the world position, but for the
+/// translation, in real arithmetic. This is what decides who is a neighbor.
+struct StoredPosition {
+    std::int64_t voxel[3]; ///< of grids: an int32; of arrays 0
+    double
+        offset[3]; ///< of grids: the value of P, a float, in voxels; of arrays: the position, in world units
+};
 
 /// A cheap handle to positions that are viewed, not copied: they must stay alive and unchanged while the view, or any
 /// grid or lists made from it, is used. Copies share the view. Safe to read from several threads.
@@ -40,6 +49,9 @@ public:
     /// The linear part of the map from stored positions to world space: identity for arrays, M of the grid's transform
     /// for a VDB grid (column vectors).
     const Matrix3& linear() const;
+
+    /// Exact. Some ns for arrays, tens of ns for grids.
+    StoredPosition stored(std::size_t i) const;
 
     /// World position of particle i, rounded to double: for reports, never for deciding who is a neighbor.
     Vec3d worldPosition(std::size_t i) const;

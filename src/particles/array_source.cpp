@@ -106,6 +106,11 @@ std::size_t ParticleView::size() const
     return mSource->size();
 }
 
+StoredPosition ParticleView::stored(std::size_t i) const
+{
+    return mSource->stored(i);
+}
+
 const Matrix3& ParticleView::linear() const
 {
     return mSource->linear();

@@ -3,16 +3,12 @@
 // (array_source.cpp), VDB point grids (vdb_source.cpp). Knows nothing of cells, radii or devices.
 #pragma once
 
+#include "vdb_nns/particle_view.h"
 #include "vdb_nns/types.h"
 
 #include <cstdint>
 
 namespace vdb_nns {
-
-struct StoredPosition {
-    std::int64_t voxel[3]; // of grids; a 32-bit integer
-    double offset[3];      // of grids a float, widened; of arrays whatever double they hold
-};
 
 // A leaf of 8^3 voxels of a VDB point grid, with particles.
 struct FileLeaf {

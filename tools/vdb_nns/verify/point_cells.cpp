@@ -1,6 +1,6 @@
 // See point_cells.h.
 //
-// Error of a coordinate. read() gives s_c = stored - reference with |error| <= u |s_c|, u = 2^-53. p_k is the sum of three
+// Error of a coordinate. s_c = (voxel - reference voxel) + offset has |error| <= u |s_c|, u = 2^-53. p_k is the sum of three
 // products m_kc s_c: each product errs by u of itself and takes 1 more u from s_c, two additions add 2 u at most of the
 // sum of the absolute values A = sum_c |m_kc| |s_c|. So |error p_k| <= 4.01 u A + a few denormal steps (products that
 // underflow); `error` is 8 u max A + 2^-1068, more than that.
@@ -14,7 +14,6 @@
 // (r - delta)^2 (1 - 1e-14) is a neighbor's, one above (r + delta)^2 (1 + 1e-14) is not.
 #include "point_cells.h"
 
-#include "../../../src/particles/particle_source.h"
 #include "vdb_nns/error.h"
 
 #include <tbb/blocked_range.h>
@@ -34,16 +33,20 @@ constexpr std::size_t kChunk = 8192; // particles a task: fits the second-level 
 // Fills world positions about the reference; returns the largest A (see above) of the finite points.
 double readPositions(const ParticleView& view, PointCloud& cloud)
 {
-    const ParticleSource& source = view.source();
+    if (view.size() == 0) return 0;
+    const StoredPosition reference = view.stored(view.size() / 2);
     const Matrix3& m = view.linear();
     return tbb::parallel_reduce(
         tbb::blocked_range<std::size_t>(0, view.size(), kChunk), 0.0,
         [&](const tbb::blocked_range<std::size_t>& range, double largest) {
             double* p[3] = {cloud.x.data() + range.begin(), cloud.y.data() + range.begin(),
                             cloud.z.data() + range.begin()};
-            source.read(range.begin(), range.size(), source.reference(), p[0], p[1], p[2]);
             for (std::size_t i = 0; i < range.size(); ++i) {
-                const double s[3] = {p[0][i], p[1][i], p[2][i]};
+                const StoredPosition at = view.stored(range.begin() + i);
+                double s[3];
+                for (std::size_t k = 0; k < 3; ++k) {
+                    s[k] = static_cast<double>(at.voxel[k] - reference.voxel[k]) + at.offset[k];
+                }
                 const bool finite = std::isfinite(s[0]) && std::isfinite(s[1]) && std::isfinite(s[2]);
                 for (std::size_t k = 0; k < 3; ++k) {
                     double position = 0, terms = 0;
@@ -95,7 +98,7 @@ PointCloud makeCloud(const ParticleView& view, double radius)
 
 StoredPoint PairJudge::point(std::uint64_t i) const
 {
-    const StoredPosition stored = mView.source().stored(i);
+    const StoredPosition stored = mView.stored(i);
     StoredPoint point{};
     for (int k = 0; k < 3; ++k) {
         point.voxel[k] = stored.voxel[k];
