@@ -1,5 +1,6 @@
-// The particles around a leaf, gathered into the thread's scratch memory. Two ways:
+// The particles around a leaf, gathered into the thread's scratch memory. Three ways:
 //   fillHalo()  with the start of every cell of the cube of leaf and halo, so that the cells of a column stand together
+//   copyReach() around one cell of it
 //   listRuns()  and copyRuns(), without: for leaves so sparse that a table of cells costs more than testing everything
 // Internal linkage; see simd.h.
 #pragma once
@@ -157,6 +158,44 @@ inline void copyRuns(const BlockView& block, const HaloRun* runs, std::uint32_t 
         to += std::size_t(runs[r].end - runs[r].begin) * sizeof(float);
     }
     Simd::store(floats(to), Simd::set(kFarAway));
+}
+
+// Copies the particles of the cells in reach of cell (x, y, z) of the leaf, in visiting order. Returns how many there are;
+// `self` is where the cell's own begin.
+inline std::uint32_t copyReach(const BlockView& block, const LeafCells* leaves, int x, int y, int z,
+                               HaloScratch& scratch, std::uint32_t& self)
+{
+    const int reach = block.reach;
+    char* to = scratch.halo();
+    std::uint32_t copied = 0;
+    for (int cx = x - reach; cx <= x + reach; ++cx) {
+        const int nx = (cx + 8) >> 3;
+        for (int cy = y - reach; cy <= y + reach; ++cy) {
+            const int ny = (cy + 8) >> 3;
+            for (int nz = (z - reach + 8) >> 3; nz <= (z + reach + 8) >> 3; ++nz) {
+                const int low = z - reach - 8 * (nz - 1), high = z + reach - 8 * (nz - 1);
+                const int z0 = low > 0 ? low : 0, z1 = high < 7 ? high : 7;
+                const LeafCells& leaf = leaves[nx * 9 + ny * 3 + nz];
+                const std::uint64_t word = leaf.word[cx & 7];
+                const int lowest = 8 * (cy & 7) + z0;
+                const std::uint64_t bits = word >> lowest & ((std::uint64_t(2) << (z1 - z0)) - 1);
+                if (!bits) continue;
+                const std::uint64_t below = word & ((std::uint64_t(1) << lowest) - 1);
+                const std::uint32_t* const cell =
+                    block.cellStart + leaf.firstCell[cx & 7] + __builtin_popcountll(below);
+                const std::uint32_t begin = cell[0], end = cell[__builtin_popcountll(bits)];
+                if (cx == x && cy == y && nz == 1) {
+                    const std::uint64_t under = bits & ((std::uint64_t(1) << (z - z0)) - 1);
+                    self = copied + (cell[__builtin_popcountll(under)] - begin);
+                }
+                const float shift[3] = {8.0f * (nx - 1), 8.0f * (ny - 1), 8.0f * (nz - 1)};
+                copyRun(block, to + std::size_t(copied) * sizeof(float), scratch.stride, begin, end, shift);
+                copied += end - begin;
+            }
+        }
+    }
+    Simd::store(floats(to + std::size_t(copied) * sizeof(float)), Simd::set(kFarAway));
+    return copied;
 }
 
 } // namespace

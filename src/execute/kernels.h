@@ -15,6 +15,8 @@ struct BandJudge;
 struct HaloScratch;
 struct RowSink;
 struct TaskStatistics;
+struct CellCounts;
+struct BlockView;
 
 using SearchTaskFunction = void (*)(const SearchContext&, const SearchTask&, const BandJudge&, HaloScratch&,
                                     RowSink&, TaskStatistics&);
@@ -24,6 +26,12 @@ using SearchTaskFunction = void (*)(const SearchContext&, const SearchTask&, con
 using LocateAxisFunction = bool (*)(const double* t, std::size_t count, double limit, std::int32_t* leaf,
                                     float* local);
 
+// For each occupied cell of a leaf: the particles of the cells in its reach, and their sum weighted by `shares`, which
+// has (2 reach + 1)^3 of them by offset, lexicographic.
+using ExpectCellsFunction = void (*)(const BlockView&, std::uint32_t leaf, const std::uint32_t* neighborhood,
+                                     const float* shares, CellCounts&, float* expected,
+                                     std::uint32_t* candidates);
+
 struct Kernels {
     SearchTaskFunction
         index; // rows of numbers, past the caches; the last ones of a thread wait in RowSink::tail
@@ -31,6 +39,7 @@ struct Kernels {
     SearchTaskFunction mask;  // rows of membership bits
     SearchTaskFunction count; // counts alone
     LocateAxisFunction locateAxis;
+    ExpectCellsFunction expectCells;
 };
 
 extern const Kernels kKernelsScalar, kKernelsSse4, kKernelsAvx2, kKernelsAvx512;

@@ -101,24 +101,14 @@ void forEachTask(const SparseGridData& grid, const std::vector<Piece>& pieces, T
 template <typename F>
 void forEachCandidateCount(const SparseGridData& grid, const SearchTask& task, F&& f)
 {
-    const BlockView block = blockViewOf(grid);
     LeafNeighborhood neighborhood;
     std::copy_n(task.neighborhood, 27, neighborhood.leaf);
-    const LeafRecord& leaf = grid.leaves[task.leaf];
-    const std::uint32_t* cell = grid.cellStart.data() + leaf.firstCell;
-    for (int x = 0; x < 8; ++x) {
-        for (std::uint64_t word = leaf.occupancy[x]; word; word &= word - 1, ++cell) {
-            const std::uint32_t begin = std::max(cell[0], task.firstSlot),
-                                end = std::min(cell[1], task.endSlot);
-            if (begin >= end) continue;
-            const int bit = __builtin_ctzll(word);
-            std::uint64_t candidates = 0;
-            forEachCandidateRun(
-                block, neighborhood, x, bit >> 3, bit & 7,
-                [&](std::uint32_t runBegin, std::uint32_t runEnd) { candidates += runEnd - runBegin; });
-            f(end - begin, candidates);
-        }
-    }
+    forEachOccupiedCell(grid, task.leaf, neighborhood,
+                        [&](std::uint32_t cellBegin, std::uint32_t cellEnd, std::uint64_t candidates) {
+                            const std::uint32_t begin = std::max(cellBegin, task.firstSlot),
+                                                end = std::min(cellEnd, task.endSlot);
+                            if (begin < end) f(end - begin, candidates);
+                        });
 }
 
 std::uint64_t maskBytes(const SparseGridData& grid, const SearchTask& task)

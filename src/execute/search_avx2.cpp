@@ -1,12 +1,17 @@
 // The kernels with AVX2. Compiled with the flags of that instruction set; see simd.h.
 #define VDB_NNS_SIMD_AVX2
+#include "execute/expect_cells-inl.h"
 #include "execute/kernels.h"
 #include "execute/search_task-inl.h"
 #include "grid/locate_axis-inl.h"
 
 namespace vdb_nns {
 
-const Kernels kKernelsAvx2 = {searchTask<IndexRows<StreamedRows>>, searchTask<IndexRows<DirectRows>>,
-                              searchTask<MaskRows>, searchTask<CountRows>, locateAxis};
+const Kernels kKernelsAvx2 = {searchTask<IndexRows<StreamedRows>>,
+                              searchTask<IndexRows<DirectRows>>,
+                              searchTask<MaskRows>,
+                              searchTask<CountRows>,
+                              locateAxis,
+                              expectCells};
 
 } // namespace vdb_nns

@@ -1,11 +1,16 @@
 // The kernels in plain C++. Compiled with the flags of that instruction set; see simd.h.
+#include "execute/expect_cells-inl.h"
 #include "execute/kernels.h"
 #include "execute/search_task-inl.h"
 #include "grid/locate_axis-inl.h"
 
 namespace vdb_nns {
 
-const Kernels kKernelsScalar = {searchTask<IndexRows<StreamedRows>>, searchTask<IndexRows<DirectRows>>,
-                                searchTask<MaskRows>, searchTask<CountRows>, locateAxis};
+const Kernels kKernelsScalar = {searchTask<IndexRows<StreamedRows>>,
+                                searchTask<IndexRows<DirectRows>>,
+                                searchTask<MaskRows>,
+                                searchTask<CountRows>,
+                                locateAxis,
+                                expectCells};
 
 } // namespace vdb_nns

@@ -2,6 +2,7 @@
 // standard library that could leave a copy compiled with these flags for other files to use.
 //
 //   sparse leaves: every query against all particles of the leaf and its halo
+//   few cells:     (task.cells) the queries of each against the particles of the cells in its reach
 //   others:        for each occupied cell, gather() keeps the candidates near the ball of the cell's queries;
 //                  each query is tested against those, a vector at a time
 // Both take candidates in the same order, by cell (x, y, z) lexicographic and by number inside a cell.
@@ -323,12 +324,25 @@ struct HitWriter {
 struct MaskRows {
     static constexpr bool kMasks = true;
 
-    MaskRows(const SearchContext& c, const SearchTask& task, const HaloScratch& scratch, RowSink& rowSink)
+    // For rows of so many words.
+    MaskRows(const SearchContext& c, const HaloScratch& scratch, RowSink& rowSink, std::size_t words)
         : context(c),
           sink(rowSink),
           keepBits(scratch.keepBits()),
           hitBits(scratch.hitBits()),
           secondHitBits(scratch.secondHitBits())
+    {
+        sink.grow(sink, words + 2); // a row is written 64 bits at a time
+        sink.taskBegin = sink.out;
+    }
+
+    MaskRows(const SearchContext& c, const SearchTask& task, const HaloScratch& scratch, RowSink& rowSink)
+        : MaskRows(c, scratch, rowSink, wordsOf(c, task, scratch))
+    {
+    }
+
+    static std::size_t wordsOf(const SearchContext& context, const SearchTask& task,
+                               const HaloScratch& scratch)
     {
         std::size_t words = 0;
         forEachCell(context.block, task, scratch,
@@ -336,13 +350,13 @@ struct MaskRows {
                         words += std::size_t(cell.queries) *
                                  ((candidatesOf(context.block.reach, lowest) + 31) / 32);
                     });
-        sink.grow(sink, words + 2); // a row is written 64 bits at a time
-        sink.taskBegin = sink.out;
+        return words;
     }
 
     // `candidates` are those of the cells in reach.
-    void search(const KeptFrame& frame, const Queries& queries, std::uint32_t candidates,
-                const BandJudge& judge, TaskStatistics& statistics)
+    template <typename Frame>
+    void search(const Frame& frame, const Queries& queries, std::uint32_t candidates, const BandJudge& judge,
+                TaskStatistics& statistics)
     {
         const FilterBounds bounds = context.bounds;
         const std::uint32_t rowWords = (candidates + 31) / 32;
@@ -391,7 +405,8 @@ struct MaskRows {
     void finish() {}
 
 private:
-    void searchBand(const KeptFrame& frame, std::uint32_t self, const BandJudge& judge,
+    template <typename Frame>
+    void searchBand(const Frame& frame, std::uint32_t self, const BandJudge& judge,
                     TaskStatistics& statistics, std::uint64_t* hits)
     {
         HitWriter writer(hits);
@@ -457,12 +472,45 @@ bool searchSparse(const SearchContext& context, const SearchTask& task, const Le
     return true;
 }
 
+// Searches the cells of task.cells, each by itself: for so few that the halo of the whole leaf would cost more.
+template <typename Rows>
+void searchCells(const SearchContext& context, const SearchTask& task, const LeafCells* leaves,
+                 const BandJudge& judge, HaloScratch& scratch, RowSink& sink, TaskStatistics& statistics)
+{
+    const std::uint32_t* cellStart = context.block.cellStart + context.block.leaves[task.leaf].firstCell;
+    for (int x = 0; x < 8; ++x) {
+        for (std::uint64_t word = leaves[13].word[x]; word; word &= word - 1, ++cellStart) {
+            const int bit = __builtin_ctzll(word);
+            const std::uint32_t begin = cellStart[0] > task.firstSlot ? cellStart[0] : task.firstSlot;
+            const std::uint32_t end = cellStart[1] < task.endSlot ? cellStart[1] : task.endSlot;
+            if (!(task.cells[x] >> bit & 1) || begin >= end) continue;
+            std::uint32_t self = 0;
+            const std::uint32_t candidates =
+                copyReach(context.block, leaves, x, bit >> 3, bit & 7, scratch, self);
+            const HaloFrame frame{scratch.halo(), scratch.stride, candidates};
+            const Queries queries{self + (begin - cellStart[0]), end - begin, begin};
+            if constexpr (Rows::kMasks) {
+                std::uint64_t* const keep = scratch.keepBits();
+                for (std::uint32_t w = 0; w < candidates / 64; ++w) keep[w] = ~std::uint64_t(0);
+                keep[candidates / 64] = (std::uint64_t(1) << candidates % 64) - 1;
+                Rows rows(context, scratch, sink, std::size_t(queries.count) * ((candidates + 31) / 32));
+                rows.search(frame, queries, candidates, judge, statistics);
+            } else {
+                Rows rows(context, task, scratch, sink);
+                rows.search(frame, queries, judge, statistics);
+                rows.finish();
+            }
+        }
+    }
+}
+
 template <typename Rows>
 void searchTask(const SearchContext& context, const SearchTask& task, const BandJudge& judge,
                 HaloScratch& scratch, RowSink& sink, TaskStatistics& statistics)
 {
     LeafCells leaves[27];
     scratch.reserve(scratch, readLeaves(context.block, task.neighborhood, leaves));
+    if (task.cells) return searchCells<Rows>(context, task, leaves, judge, scratch, sink, statistics);
     if constexpr (!Rows::kMasks) {
         if (searchSparse<Rows>(context, task, leaves, judge, scratch, sink, statistics)) return;
     }

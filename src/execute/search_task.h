@@ -19,6 +19,8 @@ struct SearchTask {
     std::uint32_t leaf;
     std::uint32_t firstSlot, endSlot;  // queries, inside the leaf
     const std::uint32_t* neighborhood; // 27 leaf indices, see LeafNeighborhood
+    const std::uint64_t* cells =
+        nullptr; // 8 words: only queries in these cells; null for all. One alone for masks; not for visits
 };
 
 // Decides the pairs in the filter's band; numbers are the caller's.
@@ -74,6 +76,14 @@ struct HaloScratch {
         return reinterpret_cast<std::uint64_t*>(base + 3 * stride + stride / 2 / 64 * 64);
     }
     static constexpr std::size_t kStrides = 12;
+};
+
+// Particles of each cell of a leaf and of those in reach around it, (x, y, z) lexicographic; zero between leaves.
+struct CellCounts {
+    static constexpr int kMost = HaloScratch::kMaxSide * HaloScratch::kMaxSide * HaloScratch::kMaxSide;
+    std::uint32_t count[kMost] = {};
+    std::uint16_t touched[kMost];
+    std::uint32_t touchedCount = 0;
 };
 
 struct TaskStatistics {

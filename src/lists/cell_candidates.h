@@ -46,4 +46,24 @@ inline BlockView blockViewOf(const SparseGridData& grid)
             grid.leaves.data(), grid.cellStart.data(), grid.reach};
 }
 
+// Calls f(first slot, end slot, candidates) for each occupied cell of a leaf.
+template <typename F>
+void forEachOccupiedCell(const SparseGridData& grid, std::uint32_t leafIndex,
+                         const LeafNeighborhood& neighborhood, F&& f)
+{
+    const BlockView block = blockViewOf(grid);
+    const LeafRecord& leaf = grid.leaves[leafIndex];
+    const std::uint32_t* cell = grid.cellStart.data() + leaf.firstCell;
+    for (int x = 0; x < 8; ++x) {
+        for (std::uint64_t word = leaf.occupancy[x]; word; word &= word - 1, ++cell) {
+            const int bit = __builtin_ctzll(word);
+            std::uint64_t candidates = 0;
+            forEachCandidateRun(
+                block, neighborhood, x, bit >> 3, bit & 7,
+                [&](std::uint32_t runBegin, std::uint32_t runEnd) { candidates += runEnd - runBegin; });
+            f(cell[0], cell[1], candidates);
+        }
+    }
+}
+
 } // namespace vdb_nns

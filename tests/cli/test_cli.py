@@ -7,7 +7,8 @@ import unittest
 
 import cli_case
 
-MODULES = ["test_usage", "test_inputs", "test_outputs", "test_lists", "test_interrupt", "test_verify", "test_bench"]
+MODULES = ["test_usage", "test_inputs", "test_outputs", "test_lists", "test_interrupt", "test_verify", "test_bench",
+           "test_plan"]
 
 if __name__ == "__main__":
     if len(sys.argv) < 3:

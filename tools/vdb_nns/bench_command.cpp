@@ -2,6 +2,7 @@
 #include "bench/accuracy.h"
 #include "bench/bench_points.h"
 #include "bench/bench_report.h"
+#include "bench/estimators.h"
 #include "bench/methods.h"
 #include "cli_options.h"
 #include "command.h"
@@ -25,12 +26,12 @@ struct BenchFlags {
     InputFlags input;
     EngineFlags engine;
     SceneFlags scene;
-    std::string sceneName, methods, csv, pointsOut, shuffleSeed;
+    std::string sceneName, methods, estimators, csv, pointsOut, shuffleSeed;
     std::string repeat = "5", sample = "1000";
 };
 
 struct BenchPlan {
-    std::vector<std::string> methods;
+    std::vector<std::string> methods, estimators;
     SearchOptions options;
     std::optional<SceneOptions> scene;
     std::optional<double> radius;
@@ -57,6 +58,11 @@ void addFlags(CLI::App& app, BenchFlags& flags)
     app.add_option("--method", flags.methods,
                    "methods, separated by commas: ours-index,ours-mask,ours-count; "
                    "default: all")
+        ->type_name("LIST")
+        ->check(notEmpty());
+    app.add_option("--estimator", flags.estimators,
+                   "estimators of the work, separated by commas, against a full count: "
+                   "paper,uncorrected,expected,sampled,counted,fixed,mask or all; default: none")
         ->type_name("LIST")
         ->check(notEmpty());
     app.add_option("--repeat", flags.repeat, "timed runs of each method, interleaved, after one warm-up")
@@ -92,6 +98,7 @@ BenchPlan checkFlags(const BenchFlags& flags)
     }
     if (!flags.input.radius.empty()) plan.radius = parsePositive(flags.input.radius, "--radius");
     plan.methods = parseMethods(flags.methods);
+    plan.estimators = parseEstimators(flags.estimators);
     plan.options = searchOptions(flags.engine, nullptr);
     plan.repeat = parseCount(flags.repeat, "--repeat");
     if (plan.repeat == 0) throw InvalidInput("--repeat: 0 runs are none; give 1 or more");
@@ -198,14 +205,16 @@ std::vector<BenchResult> measure(const BenchPoints& points, const BenchPlan& pla
     return results;
 }
 
-void deliver(const BenchFlags& flags, const std::vector<BenchResult>& results)
+void deliver(const BenchFlags& flags, const std::vector<BenchResult>& results,
+             const std::vector<EstimatorResult>& estimators)
 {
     if (!flags.csv.empty()) {
         const std::string csv = benchCsv(results);
         writeWholeFile(flags.csv, csv.data(), csv.size(), flags.common.force);
     }
-    deliverJson(flags.common.json, benchJson(results), flags.common.force);
-    if (!flags.common.quiet && !jsonToStdout(flags.common)) writeStdout(benchText(results));
+    deliverJson(flags.common.json, benchJson(results, estimators), flags.common.force);
+    if (!flags.common.quiet && !jsonToStdout(flags.common))
+        writeStdout(benchText(results) + estimatorsText(estimators));
 }
 
 int runBench(const BenchFlags& flags, BenchPlan plan, int threads, Session& session)
@@ -218,9 +227,14 @@ int runBench(const BenchFlags& flags, BenchPlan plan, int threads, Session& sess
     const double radius =
         chooseRadius(flags.input.radius, points.suggestedRadius, session.path, flags.common.quiet);
     const std::vector<BenchResult> results = measure(points, plan, radius, threads, progress);
+    std::vector<EstimatorResult> estimators;
+    if (!plan.estimators.empty()) {
+        const SparseGrid grid = SearchEngine().buildGrid(points.view, radius, plan.options);
+        estimators = measureEstimators(points.scene, plan.estimators, grid, plan.repeat, &progress);
+    }
     throwIfStopped();
     progress.finish();
-    deliver(flags, results);
+    deliver(flags, results, estimators);
     for (const BenchResult& result : results) {
         if (!result.isExact()) {
             throw CheckFailed(result.method + " is wrong: " + std::to_string(result.accuracy.missing) +

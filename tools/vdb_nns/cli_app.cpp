@@ -94,9 +94,9 @@ int runCommandLine(int argc, char** argv)
                              "print version, build and instruction sets");
         app.add_flag("--help-markdown", asMarkdown, "print all flags as Markdown tables");
         app.require_subcommand(0, 1);
-        const std::vector<Command> commands = {addSearchCommand(app), addSceneCommand(app),
-                                               addVerifyCommand(app), addBenchCommand(app),
-                                               addInfoCommand(app)};
+        const std::vector<Command> commands = {addSearchCommand(app), addPlanCommand(app),
+                                               addSceneCommand(app),  addVerifyCommand(app),
+                                               addBenchCommand(app),  addInfoCommand(app)};
         try {
             app.parse(argc, argv);
         } catch (const CLI::ParseError& error) {

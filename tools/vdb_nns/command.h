@@ -20,6 +20,7 @@ struct Command {
 };
 
 Command addSearchCommand(CLI::App& app);
+Command addPlanCommand(CLI::App& app);
 Command addSceneCommand(CLI::App& app);
 Command addVerifyCommand(CLI::App& app);
 Command addBenchCommand(CLI::App& app);

@@ -6,6 +6,7 @@
 #include <Eigen/LU>
 #include <nlohmann/json.hpp>
 
+#include <algorithm>
 #include <charconv>
 #include <cstdarg>
 #include <cstdio>
@@ -42,17 +43,68 @@ Json inputJson(const SearchReport& report)
     return input;
 }
 
+Json deviceJson(const std::string& kind, const std::string& name, const Json& budget)
+{
+    return {{"kind", kind},      {"name", name},         {"budget_bytes", budget}, {"peak_bytes", nullptr},
+            {"blocks", nullptr}, {"particles", nullptr}, {"busy_seconds", nullptr}};
+}
+
 Json devicesJson(const SearchReport& report)
 {
-    Json device;
-    device["kind"] = report.device.kind;
-    device["name"] = report.device.name;
-    device["budget_bytes"] = orNull(report.device.budgetBytes);
-    device["peak_bytes"] = nullptr;
-    device["blocks"] = nullptr;
-    device["particles"] = report.points - report.nonfinite;
-    device["busy_seconds"] = report.seconds.search;
-    return Json::array({device});
+    Json cpu = deviceJson(report.device.kind, report.device.name, orNull(report.device.budgetBytes));
+    cpu["particles"] = report.points - report.nonfinite;
+    cpu["busy_seconds"] = orNull(report.seconds.search);
+    if (!report.plan) return Json::array({cpu});
+    const Schedule& schedule = report.plan->schedule;
+    Json list = Json::array();
+    std::uint64_t cpuBlocks = schedule.blocks.size();
+    for (std::size_t d = 0; d < schedule.devices.size(); ++d) {
+        const DeviceLimits& limits = report.plan->devices[d];
+        const DevicePlan& plan = schedule.devices[d];
+        Json device = deviceJson(deviceKindName(limits.kind), limits.name, limits.memoryBytes);
+        device["peak_bytes"] = plan.peakBytes;
+        device["blocks"] = plan.blocks;
+        device["particles"] = plan.particles;
+        device["busy_seconds"] = plan.busySeconds;
+        list.push_back(device);
+        cpuBlocks -= plan.blocks;
+    }
+    cpu["blocks"] = cpuBlocks;
+    cpu["particles"] = schedule.cpuParticles;
+    cpu["busy_seconds"] = schedule.cpuBusySeconds;
+    list.push_back(cpu);
+    return list;
+}
+
+// The device with the largest peak; the CPU, which stands last, where it is alone.
+Json mainDevice(const Json& devices)
+{
+    std::size_t main = 0;
+    for (std::size_t d = 0; d + 1 < devices.size(); ++d) {
+        if (devices[d]["peak_bytes"] > devices[main]["peak_bytes"]) main = d;
+    }
+    return devices[main];
+}
+
+Json blocksJson(const PlanReport& plan)
+{
+    Json list = Json::array();
+    for (const Block& block : plan.schedule.blocks) {
+        const Vec3i& origin = block.log2Cells == WorkloadNode::kRoot ? plan.lowCell : block.origin;
+        list.push_back({{"cells", edgeCells(block, plan)},
+                        {"origin", origin},
+                        {"leaves", block.endLeaf - block.firstLeaf},
+                        {"particles", block.work.particles},
+                        {"halo_particles", block.withHalo ? block.halo.particles : 0},
+                        {"boundary_queries", block.halo.boundaryQueries},
+                        {"expected_pairs", block.work.expectedPairs},
+                        {"candidate_tests", block.work.candidateTests},
+                        {"bytes", block.bytes.total()},
+                        {"executor", executorName(plan.devices, block.preferred)},
+                        {"start_seconds", block.startSeconds},
+                        {"end_seconds", block.endSeconds}});
+    }
+    return list;
 }
 
 Json planJson(const SearchReport& report)
@@ -68,17 +120,41 @@ Json planJson(const SearchReport& report)
     plan["estimated_pairs"] = nullptr;
     plan["estimated_bytes"] = nullptr;
     plan["candidate_tests"] = report.candidateTests;
+    if (!report.plan) return plan;
+    const Schedule& schedule = report.plan->schedule;
+    std::int64_t largest = 0;
+    for (const Block& block : schedule.blocks) largest = std::max(largest, edgeCells(block, *report.plan));
+    plan["in_core"] = schedule.inCore;
+    plan["blocks"] = schedule.blocks.size();
+    plan["largest_block_cells"] = largest;
+    plan["device_particles"] = schedule.deviceParticles;
+    plan["cpu_particles"] = schedule.cpuParticles;
+    plan["boundary_leaves"] = schedule.boundaryLeaves;
+    plan["estimated_pairs"] = report.plan->total.expectedPairs;
+    plan["estimated_bytes"] = report.plan->everything.total();
+    plan["boundary"] = boundaryModeName(schedule.boundary);
+    plan["estimator"] = estimatorName(report.plan->estimator);
+    plan["correction"] = report.plan->correction;
+    plan["counted_queries"] = report.plan->countedQueries;
+    plan["margin"] = schedule.model.margin;
+    plan["too_large_queries"] = schedule.tooLargeQueries;
+    plan["tree_nodes"] = report.plan->treeNodes;
+    plan["tree_levels"] = report.plan->treeLevels;
+    plan["predicted_seconds"] = schedule.predictedSeconds;
+    plan["lower_bound_seconds"] = schedule.lowerBoundSeconds;
+    plan["blocks_list"] = blocksJson(*report.plan);
     return plan;
 }
 
 Json resultJson(const SearchReport& report)
 {
+    if (!report.result) return nullptr;
     Json result;
-    result["pairs"] = report.result.pairs;
-    result["min"] = report.result.min;
-    result["mean"] = report.result.mean;
-    result["max"] = report.result.max;
-    result["isolated"] = report.result.isolated;
+    result["pairs"] = report.result->pairs;
+    result["min"] = report.result->min;
+    result["mean"] = report.result->mean;
+    result["max"] = report.result->max;
+    result["isolated"] = report.result->isolated;
     result["checksum"] = report.checksum ? Json(checksumText(*report.checksum)) : Json(nullptr);
     return result;
 }
@@ -98,14 +174,14 @@ Json secondsJson(const SecondsReport& seconds)
     Json json;
     json["read"] = seconds.read;
     json["grid"] = seconds.grid;
-    json["estimate"] = nullptr;
-    json["plan"] = nullptr;
-    json["search"] = seconds.search;
+    json["estimate"] = orNull(seconds.estimate);
+    json["plan"] = orNull(seconds.plan);
+    json["search"] = orNull(seconds.search);
     json["collect"] = nullptr;
     json["checksum"] = orNull(seconds.checksum);
     json["write"] = orNull(seconds.write);
     json["total"] = seconds.total;
-    json["first"] = {{"grid", seconds.firstGrid}, {"search", seconds.firstSearch}};
+    json["first"] = {{"grid", seconds.firstGrid}, {"search", orNull(seconds.firstSearch)}};
     return json;
 }
 
@@ -116,32 +192,6 @@ Json attributesJson(const std::vector<AttributeInfo>& attributes)
         list.push_back({{"name", a.name}, {"type", a.type}, {"codec", a.codec}});
     }
     return list;
-}
-
-std::string line(const char* label, const std::string& value)
-{
-    return format("%-11s ", label) + value + "\n";
-}
-
-std::string step(const char* label, double seconds, double total)
-{
-    return format("  %-9s %.3f s  %3.0f %%\n", label, seconds, total > 0 ? 100 * seconds / total : 0);
-}
-
-std::string vectorText(const Vec3d& v)
-{
-    return format("%g x %g x %g", v[0], v[1], v[2]);
-}
-
-std::string bytesText(std::uint64_t bytes)
-{
-    const double mebibytes = static_cast<double>(bytes) / (1024.0 * 1024.0);
-    return mebibytes < 1024 ? format("%.1f MiB", mebibytes) : format("%.2f GiB", mebibytes / 1024);
-}
-
-std::string countText(std::uint64_t count)
-{
-    return std::to_string(count);
 }
 
 } // namespace
@@ -184,6 +234,63 @@ std::string checksumText(std::uint64_t checksum)
     return format("%016llx", static_cast<unsigned long long>(checksum));
 }
 
+std::string line(const char* label, const std::string& value)
+{
+    return format("%-11s ", label) + value + "\n";
+}
+
+std::string step(const char* label, double seconds, double total)
+{
+    return format("  %-9s %.3f s  %3.0f %%\n", label, seconds, total > 0 ? 100 * seconds / total : 0);
+}
+
+std::string vectorText(const Vec3d& v)
+{
+    return format("%g x %g x %g", v[0], v[1], v[2]);
+}
+
+std::string bytesText(std::uint64_t bytes)
+{
+    const double mebibytes = static_cast<double>(bytes) / (1024.0 * 1024.0);
+    if (mebibytes < 0.1) return format("%.1f KiB", mebibytes * 1024);
+    return mebibytes < 1024 ? format("%.1f MiB", mebibytes) : format("%.2f GiB", mebibytes / 1024);
+}
+
+std::string countText(std::uint64_t count)
+{
+    return std::to_string(count);
+}
+
+std::string timeLines(const SecondsReport& seconds)
+{
+    std::string text = line("time", format("%.3f s", seconds.total));
+    text += step("read", seconds.read, seconds.total);
+    text += step("grid", seconds.grid, seconds.total);
+    if (seconds.estimate) text += step("estimate", *seconds.estimate, seconds.total);
+    if (seconds.plan) text += step("plan", *seconds.plan, seconds.total);
+    if (seconds.search) text += step("search", *seconds.search, seconds.total);
+    if (seconds.checksum) text += step("checksum", *seconds.checksum, seconds.total);
+    if (seconds.write) text += step("write", *seconds.write, seconds.total);
+    return text;
+}
+
+std::int64_t edgeCells(const Block& block, const PlanReport& plan)
+{
+    if (block.log2Cells != WorkloadNode::kRoot) return std::int64_t(1) << block.log2Cells;
+    std::int64_t edge = 0;
+    for (std::size_t k = 0; k < 3; ++k) {
+        edge = std::max(edge, std::int64_t(plan.endCell[k]) - plan.lowCell[k]);
+    }
+    return edge;
+}
+
+std::string executorName(const std::vector<DeviceLimits>& devices, int executor)
+{
+    if (executor == Block::kOnCpu) return deviceKindName(DeviceKind::kCpu);
+    const std::string kind = deviceKindName(devices[static_cast<std::size_t>(executor)].kind);
+    return kind + ":" + std::to_string(executor);
+}
+
 Vec3d radiusInVoxels(const Matrix3& linear, double radius)
 {
     const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> matrix(linear[0].data());
@@ -196,7 +303,7 @@ std::string searchReportJson(const SearchReport& report)
     Json json;
     json["schema"] = 1;
     json["version"] = VDB_NNS_VERSION;
-    json["command"] = "search";
+    json["command"] = report.command;
     json["input"] = inputJson(report);
     json["radius"] = {{"world", report.radius}, {"voxels", orNull(report.radiusVoxels)}};
     json["grid"] = {{"cell_size", report.cellSize},
@@ -204,19 +311,21 @@ std::string searchReportJson(const SearchReport& report)
                     {"leaves", report.leaves},
                     {"cells", report.cells},
                     {"bytes", report.gridBytes}};
-    json["device"] = {{"kind", report.device.kind},
-                      {"name", report.device.name},
-                      {"budget_bytes", orNull(report.device.budgetBytes)},
+    const Json devices = devicesJson(report);
+    const Json main = mainDevice(devices);
+    json["device"] = {{"kind", main["kind"]},
+                      {"name", main["name"]},
+                      {"budget_bytes", main["budget_bytes"]},
                       {"threads", report.device.threads},
                       {"simd", report.simd}};
-    json["devices"] = devicesJson(report);
+    json["devices"] = devices;
     json["plan"] = planJson(report);
     json["result"] = resultJson(report);
     json["estimate"] = estimateJson();
     json["memory"] = {{"peak_rss_bytes", report.peakBytes},
                       {"grid_bytes", report.gridBytes},
                       {"list_bytes", report.listBytes},
-                      {"device_peak_bytes", nullptr}};
+                      {"device_peak_bytes", main["peak_bytes"]}};
     json["seconds"] = secondsJson(report.seconds);
     return dump(json);
 }
@@ -228,25 +337,21 @@ std::string searchReportText(const SearchReport& report)
     const std::string voxels =
         report.radiusVoxels ? " (" + vectorText(*report.radiusVoxels) + " voxels)" : "";
     text += line("radius", shortest(report.radius) + voxels);
-    text += line("pairs", countText(report.result.pairs));
-    text += line("neighbors", format("min %u  mean %.2f  max %u", report.result.min, report.result.mean,
-                                     report.result.max));
-    text += line("isolated", countText(report.result.isolated));
+    const ListStatistics result = report.result.value_or(ListStatistics{});
+    text += line("pairs", countText(result.pairs));
+    text += line("neighbors", format("min %u  mean %.2f  max %u", result.min, result.mean, result.max));
+    text += line("isolated", countText(result.isolated));
     text += line("skipped", countText(report.nonfinite) + " not finite");
     text += line("cells", countText(report.cells) + " in " + countText(report.leaves) + " leaves, edge " +
                               format("%.6g", report.cellSize));
     text += line("lists", std::string(encodingName(report.encoding)) + ", " + bytesText(report.listBytes));
     text += line("memory", "grid " + bytesText(report.gridBytes) + ", peak " + bytesText(report.peakBytes));
     if (report.checksum) text += line("checksum", checksumText(*report.checksum));
-    const double nanoseconds =
-        report.points > 0 ? 1e9 * (seconds.grid + seconds.search) / static_cast<double>(report.points) : 0;
+    const double nanoseconds = report.points > 0 ? 1e9 * (seconds.grid + seconds.search.value_or(0)) /
+                                                       static_cast<double>(report.points)
+                                                 : 0;
     text += line("speed", format("%.1f ns a particle (grid and search)", nanoseconds));
-    text += line("time", format("%.3f s", seconds.total));
-    text += step("read", seconds.read, seconds.total);
-    text += step("grid", seconds.grid, seconds.total);
-    text += step("search", seconds.search, seconds.total);
-    if (seconds.checksum) text += step("checksum", *seconds.checksum, seconds.total);
-    if (seconds.write) text += step("write", *seconds.write, seconds.total);
+    text += timeLines(seconds);
     for (const std::string& path : report.written) text += line("written", path);
     return text;
 }

@@ -1,8 +1,9 @@
-// What a search did, as the JSON report and as the summary on stdout. Plain data and two functions to text.
+// What a search or a plan did, as the JSON report and as the summary on stdout. Plain data and functions to text.
 #pragma once
 
 #include "vdb_nns/neighbor_lists.h"
 #include "vdb_nns/point_file.h"
+#include "vdb_nns/schedule.h"
 #include "vdb_nns/search_options.h"
 #include "vdb_nns/types.h"
 
@@ -13,6 +14,7 @@
 
 namespace vdb_nns::cli {
 
+/// The CPU.
 struct DeviceReport {
     std::string kind = "cpu", name;
     std::optional<std::uint64_t> budgetBytes;
@@ -20,12 +22,26 @@ struct DeviceReport {
 };
 
 struct SecondsReport {
-    double read = 0, grid = 0, search = 0, total = 0;
-    double firstGrid = 0, firstSearch = 0;
-    std::optional<double> checksum, write;
+    double read = 0, grid = 0, total = 0, firstGrid = 0;
+    std::optional<double> estimate, plan, search, firstSearch, checksum,
+        write; ///< empty where a step did not run
+};
+
+/// The workload model's answer: who would run what.
+struct PlanReport {
+    std::vector<DeviceLimits> devices;
+    Schedule schedule;
+    Estimator estimator = Estimator::kExpected;
+    Work total;
+    double correction = 1;            ///< of the expectation, by a sample
+    std::uint64_t countedQueries = 0; ///< of that sample
+    BlockBytes everything;            ///< of all particles as one block
+    std::uint64_t treeNodes = 0, treeLevels = 0;
+    Vec3i lowCell{}, endCell{}; ///< box of the occupied leaves, in cells
 };
 
 struct SearchReport {
+    std::string command = "search";
     std::string path;
     std::optional<PointFileInfo> info; ///< made only where it is asked for: it costs a pass
     std::uint64_t points = 0, nonfinite = 0;
@@ -38,7 +54,8 @@ struct SearchReport {
     Encoding encoding = Encoding::kIndex;
     std::uint64_t candidateTests = 0, doublePairs = 0, exactPairs = 0;
     std::string simd;
-    ListStatistics result;
+    std::optional<PlanReport> plan;       ///< empty where nothing was planned
+    std::optional<ListStatistics> result; ///< empty for a dry run
     std::optional<std::uint64_t> checksum;
     std::uint64_t peakBytes = 0;
     SecondsReport seconds;
@@ -49,6 +66,12 @@ struct SearchReport {
 std::string searchReportJson(const SearchReport& report);
 /// Aligned lines for people.
 std::string searchReportText(const SearchReport& report);
+std::string planReportText(const SearchReport& report); ///< of a report with a plan; in plan_text.cpp
+
+/// Edge of a block in cells; of the block of everything, that of the box around the occupied leaves.
+std::int64_t edgeCells(const Block& block, const PlanReport& plan);
+/// "sim:0" for the first device, "cpu" for Block::kOnCpu.
+std::string executorName(const std::vector<DeviceLimits>& devices, int executor);
 
 /// What is in a point file.
 std::string infoJson(const PointFileInfo& info);
@@ -61,6 +84,14 @@ const char* encodingName(Encoding encoding);
 std::string checksumText(std::uint64_t checksum); ///< 16 hex digits
 std::string shortest(double value);               ///< the fewest digits that read back as the same double
 std::string format(const char* pattern, ...) __attribute__((format(printf, 1, 2)));
+
+// Lines of the summaries.
+std::string line(const char* label, const std::string& value);
+std::string step(const char* label, double seconds, double total);
+std::string timeLines(const SecondsReport& seconds); ///< of every step that ran
+std::string vectorText(const Vec3d& v);
+std::string bytesText(std::uint64_t bytes);
+std::string countText(std::uint64_t count);
 
 /// Sends a report where --json says: nowhere, to a file, or to stdout.
 /// @throws OutputExists, OutputError

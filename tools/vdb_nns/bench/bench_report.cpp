@@ -78,7 +78,7 @@ unsigned long long wide(std::uint64_t value)
 
 } // namespace
 
-std::string benchJson(const std::vector<BenchResult>& results)
+std::string benchJson(const std::vector<BenchResult>& results, const std::vector<EstimatorResult>& estimators)
 {
     Json json;
     json["schema"] = 1;
@@ -88,6 +88,21 @@ std::string benchJson(const std::vector<BenchResult>& results)
     json["results"] = Json::array();
     for (const BenchResult& result : results) json["results"].push_back(resultJson(result));
     json["estimators"] = Json::array();
+    for (const EstimatorResult& e : estimators) {
+        json["estimators"].push_back({{"scene", e.scene},
+                                      {"estimator", e.estimator},
+                                      {"seconds", e.seconds},
+                                      {"count_seconds", e.searchSeconds},
+                                      {"blocks", e.blocks},
+                                      {"counted_queries", e.countedQueries},
+                                      {"bias", e.bias},
+                                      {"rmse", e.rmse},
+                                      {"p50", e.p50},
+                                      {"p99", e.p99},
+                                      {"max", e.most},
+                                      {"overflow_rate", e.overflowRate},
+                                      {"reserved_over_used", e.reservedOverUsed}});
+    }
     return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
@@ -134,6 +149,22 @@ std::string benchText(const std::vector<BenchResult>& results)
                        static_cast<double>(r.listBytes) / 1e6,
                        wide(r.accuracy.missing + r.accuracy.extra + r.accuracy.asymmetric.value_or(0)),
                        wide(r.accuracy.checkedQueries));
+    }
+    return text;
+}
+
+std::string estimatorsText(const std::vector<EstimatorResult>& estimators)
+{
+    if (estimators.empty()) return "";
+    std::string text =
+        format("\nestimators on blocks of 64^3 cells (%llu of them); a count of everything takes %.4f s\n",
+               wide(estimators.front().blocks), estimators.front().searchSeconds);
+    text += format("%-12s %9s %8s %8s %8s %8s %8s %9s %13s %9s\n", "estimator", "seconds", "bias %", "rmse %",
+                   "p50 %", "p99 %", "max %", "overflow%", "reserved/used", "counted");
+    for (const EstimatorResult& e : estimators) {
+        text += format("%-12s %9.4f %+8.2f %8.2f %8.2f %8.2f %8.1f %9.1f %13.3f %9llu\n", e.estimator.c_str(),
+                       e.seconds, 100 * e.bias, 100 * e.rmse, 100 * e.p50, 100 * e.p99, 100 * e.most,
+                       100 * e.overflowRate, e.reservedOverUsed, wide(e.countedQueries));
     }
     return text;
 }

@@ -1,6 +1,8 @@
 // What a benchmark found, as JSON, CSV and lines for people.
 #pragma once
 
+#include "estimators.h"
+
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -33,8 +35,10 @@ struct BenchResult {
     }
 };
 
-std::string benchJson(const std::vector<BenchResult>& results);
+std::string benchJson(const std::vector<BenchResult>& results,
+                      const std::vector<EstimatorResult>& estimators);
 std::string benchCsv(const std::vector<BenchResult>& results);
 std::string benchText(const std::vector<BenchResult>& results);
+std::string estimatorsText(const std::vector<EstimatorResult>& estimators);
 
 } // namespace vdb_nns::cli

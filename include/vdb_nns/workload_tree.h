@@ -1,0 +1,77 @@
+// The workload tree: the nodes of a grid's VDB tree, and the octants between them, with what each asks of a device. Plain data.
+#pragma once
+
+#include "vdb_nns/search_options.h"
+#include "vdb_nns/work_estimate.h"
+
+#include <cstdint>
+#include <vector>
+
+namespace vdb_nns {
+
+/// Bytes of a block on a device.
+struct BlockBytes {
+    std::uint64_t up = 0;   ///< particles of block and halo, cells, leaves: uploaded
+    std::uint64_t down = 0; ///< counts and lists: room reserved for them, and downloaded
+    std::uint64_t total() const { return up + down; }
+};
+
+/// How bytes follow from work: s(B) = n_B S_p + S_n sum E + S_aux for index lists (Kim et al. 2014), exact for masks.
+struct MemoryModel {
+    static constexpr std::uint64_t kParticleBytes = 16;        ///< S_p: x, y, z, number
+    static constexpr std::uint64_t kNeighborBytes = 4;         ///< S_n
+    static constexpr std::uint64_t kCountBytes = 4;            ///< of each query
+    static constexpr std::uint64_t kCellBytes = 4;             ///< start of an occupied cell
+    static constexpr std::uint64_t kLeafBytes = 16 + 64 + 108; ///< record, occupancy, neighborhood
+    static constexpr std::uint64_t kHaloLeafBytes = 16 + 64;
+
+    Encoding encoding = Encoding::kMask;
+    double margin = 0.05;    ///< S_aux: this share of the expected bytes
+    double auxNeighbors = 0; ///< S_aux: and room for so many neighbors a particle; the paper has 3.7
+};
+
+/// Cells around a block that its queries reach, and the block's queries that reach them.
+struct HaloSize {
+    std::uint64_t particles = 0, cells = 0, leaves = 0;
+    std::uint64_t boundaryQueries = 0; ///< whose cells in reach hold occupied cells outside the block
+    std::uint64_t boundaryLeaves = 0;  ///< leaves that hold such queries
+};
+
+/// A cube of 2^log2Cells cells, or all of the grid: a contiguous range of leaves.
+struct WorkloadNode {
+    static constexpr int kRoot = 31; ///< log2Cells of the node that holds everything
+
+    Vec3i origin{}; ///< cell coordinates of its lowest cell; of the first leaf for the root
+    int log2Cells = kRoot;
+    std::uint32_t firstLeaf = 0, endLeaf = 0;
+    std::uint64_t occupiedCells = 0;
+    Work work;                                    ///< the sum of its children's
+    HaloSize halo;                                ///< where the node was not divided; nothing for the root
+    std::uint32_t firstChild = 0, childCount = 0; ///< in Morton order; none where it was not divided
+};
+
+struct WorkloadTreeOptions {
+    MemoryModel model;
+    /// Nodes of more bytes than that are divided, down to leaves.
+    std::uint64_t nodeBytes = 0;
+    /// Nodes above 2^blockLog2Cells cells are divided too, however small; 0 for none: the paper's fixed block size.
+    int blockLog2Cells = 0;
+    Progress* progress = nullptr;
+};
+
+struct WorkloadTree {
+    std::vector<WorkloadNode> nodes; ///< [0] is the root; children of a node stand together
+    WorkloadTreeOptions options;     ///< what it was divided by
+    double seconds = 0;
+};
+
+/// Builds the tree, in parallel and only as deep as nodeBytes asks: one node where everything fits.
+/// Cost: one pass over the leaves, and one over the faces of every node that is made.
+/// @throws InvalidInput if the estimate is not of that grid; Cancelled
+WorkloadTree buildWorkloadTree(const SparseGrid& grid, const WorkEstimate& estimate,
+                               const WorkloadTreeOptions& options);
+
+/// Bytes of a node as one block, with its halo.
+BlockBytes blockBytes(const WorkloadNode& node, const MemoryModel& model);
+
+} // namespace vdb_nns

@@ -1,0 +1,371 @@
+// See schedule.h. Three steps, each a function: cut the tree into blocks; hand them out in predicted time; with
+// BoundaryMode::kAuto do both for either mode and take what ends first.
+#include "vdb_nns/schedule.h"
+
+#include "lists/cell_candidates.h"
+#include "schedule/device_clock.h"
+#include "vdb_nns/error.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+#include <string>
+
+namespace vdb_nns {
+
+namespace {
+
+constexpr std::uint64_t kFewestQueries = 32; // of a part of a leaf: a warp
+
+void check(const std::vector<DeviceLimits>& devices, const ScheduleOptions& options)
+{
+    const auto isSpeed = [](double rate) { return rate > 0 && std::isfinite(rate); };
+    for (const DeviceLimits& device : devices) {
+        const std::string name = "device '" + device.name + "' ";
+        if (device.memoryBytes == 0) throw InvalidInput(name + "has no memory: allow it some");
+        if (device.slots < 1) {
+            throw InvalidInput(name + "has " + std::to_string(device.slots) +
+                               " slots: it needs one at least");
+        }
+        const Rates& rates = device.rates;
+        if (!isSpeed(rates.testsPerSecond) || !isSpeed(rates.uploadBytesPerSecond) ||
+            !isSpeed(rates.downloadBytesPerSecond) ||
+            !(rates.latencySeconds >= 0 && std::isfinite(rates.latencySeconds))) {
+            throw InvalidInput(name + "needs rates above 0 and a latency of 0 or more");
+        }
+    }
+    if (!isSpeed(options.cpuTestsPerSecond)) throw InvalidInput("the CPU needs a rate of tests above 0");
+    if (options.blockLog2Cells != 0 && options.blockLog2Cells < 3) {
+        throw InvalidInput("a block of 2^" + std::to_string(options.blockLog2Cells) +
+                           " cells is less than a leaf: use 2^3 or more");
+    }
+}
+
+Block blockOf(const WorkloadNode& node, const SparseGridData& grid, const MemoryModel& model, bool withHalo)
+{
+    WorkloadNode sized = node;
+    if (!withHalo) sized.halo.particles = sized.halo.cells = sized.halo.leaves = 0;
+    Block block;
+    block.origin = node.origin;
+    block.log2Cells = node.log2Cells;
+    block.firstLeaf = node.firstLeaf;
+    block.endLeaf = node.endLeaf;
+    block.firstSlot = grid.leaves[node.firstLeaf].firstSlot;
+    block.endSlot = grid.leaves[node.endLeaf].firstSlot;
+    block.work = node.work;
+    block.halo = node.halo;
+    block.withHalo = withHalo;
+    block.bytes = blockBytes(sized, model);
+    return block;
+}
+
+// Cuts the tree from the top into blocks of at most `budget` bytes.
+class Cutter {
+public:
+    Cutter(const SparseGridData& grid, const WorkloadTree& tree, std::uint64_t budget, int blockLog2Cells,
+           bool withHalo)
+        : mGrid(grid),
+          mTree(tree),
+          mBudget(budget),
+          mNodeBudget(std::min(budget, tree.options.nodeBytes)),
+          mBlockLog2Cells(blockLog2Cells),
+          mWithHalo(withHalo)
+    {
+    }
+
+    std::vector<Block> cut()
+    {
+        if (mGrid.leafCount() > 0) cut(mTree.nodes[0]);
+        return std::move(mBlocks);
+    }
+
+private:
+    void cut(const WorkloadNode& node)
+    {
+        const Block block = blockOf(node, mGrid, mTree.options.model, mWithHalo);
+        const bool isSmall = mBlockLog2Cells == 0 || node.log2Cells <= mBlockLog2Cells;
+        // What was divided has no halo where it was larger than the tree's nodeBytes, and is no block.
+        if (isSmall && block.bytes.total() <= (node.childCount > 0 ? mNodeBudget : mBudget)) {
+            mBlocks.push_back(block);
+        } else if (node.childCount > 0) {
+            for (std::uint32_t c = 0; c < node.childCount; ++c) cut(mTree.nodes[node.firstChild + c]);
+        } else if (node.endLeaf - node.firstLeaf > 1) {
+            throw InvalidInput("the workload tree is not divided as far as a budget of " +
+                               std::to_string(mBudget) +
+                               " bytes or the block size needs: build it for those");
+        } else {
+            cutLeaf(node);
+        }
+    }
+
+    // Ranges of the queries of a leaf, as many as fit beside its candidates, which are the leaf's and its halo's in either mode.
+    void cutLeaf(const WorkloadNode& node)
+    {
+        const Block leaf = blockOf(node, mGrid, mTree.options.model, true);
+        LeafNeighborhood neighborhood;
+        mGrid.topology.neighborhoods({&mGrid.leafOrigins[leaf.firstLeaf], 1}, &neighborhood);
+        const double pairsPerQuery = leaf.work.expectedPairs / static_cast<double>(leaf.work.particles);
+        Block part = leaf;
+        const auto bytesOf = [&](const Work& work) {
+            WorkloadNode sized;
+            sized.work = work;
+            BlockBytes bytes = blockBytes(sized, mTree.options.model);
+            bytes.up = leaf.bytes.up;
+            return bytes;
+        };
+        const auto end = [&] {
+            part.bytes = bytesOf(part.work);
+            // The halo is the whole leaf's; its boundary region is not a part's.
+            if (part.work.particles < node.work.particles)
+                part.halo.boundaryQueries = part.halo.boundaryLeaves = 0;
+            mBlocks.push_back(part);
+            part.firstSlot = part.endSlot;
+            part.work = {};
+        };
+        part.endSlot = part.firstSlot;
+        part.work = {};
+        Work warp; // the next queries, not yet in the part
+        const auto addWarp = [&] {
+            Work sum = part.work;
+            sum += warp;
+            if (part.work.particles > 0 && bytesOf(sum).total() > mBudget) {
+                end();
+                sum = warp;
+            }
+            part.work = sum;
+            part.endSlot += warp.particles;
+            warp = {};
+        };
+        forEachOccupiedCell(
+            mGrid, leaf.firstLeaf, neighborhood,
+            [&](std::uint32_t cellBegin, std::uint32_t cellEnd, std::uint64_t candidates) {
+                for (std::uint64_t left = cellEnd - cellBegin; left > 0;) {
+                    const std::uint64_t queries = std::min(left, kFewestQueries - warp.particles);
+                    warp += {queries, pairsPerQuery * static_cast<double>(queries), queries * candidates,
+                             queries * ((candidates + 31) / 32) * sizeof(std::uint32_t)};
+                    left -= queries;
+                    if (warp.particles == kFewestQueries) addWarp();
+                }
+            });
+        if (warp.particles > 0) addWarp();
+        end();
+    }
+
+    const SparseGridData& mGrid;
+    const WorkloadTree& mTree;
+    std::uint64_t mBudget, mNodeBudget;
+    int mBlockLog2Cells;
+    bool mWithHalo;
+    std::vector<Block> mBlocks;
+};
+
+// Tests of a block that are left to TBB workers when a device runs it.
+std::uint64_t boundaryTests(const Block& block)
+{
+    if (block.withHalo || block.work.particles == 0) return 0;
+    const double share =
+        static_cast<double>(block.halo.boundaryQueries) / static_cast<double>(block.work.particles);
+    return static_cast<std::uint64_t>(share * static_cast<double>(block.work.candidateTests));
+}
+
+// Seconds that a device needs for work when nothing else holds it up: its slowest stage.
+double deviceSeconds(const Rates& rates, std::uint64_t tests, const BlockBytes& bytes)
+{
+    return std::max({static_cast<double>(tests) / rates.testsPerSecond,
+                     static_cast<double>(bytes.up) / rates.uploadBytesPerSecond,
+                     static_cast<double>(bytes.down) / rates.downloadBytesPerSecond});
+}
+
+// Hands blocks out in predicted time: devices take the largest, the CPU boundary regions and the smallest.
+void handOut(const std::vector<DeviceLimits>& devices, const std::vector<std::uint64_t>& budgets,
+             const ScheduleOptions& options, Schedule& schedule)
+{
+    std::vector<DeviceClock> clocks;
+    for (const DeviceLimits& device : devices) clocks.emplace_back(device.rates, device.slots);
+    schedule.devices.assign(devices.size(), {});
+    std::vector<std::vector<std::uint64_t>> inSlots(devices.size());
+    double cpu = 0; // when its work so far is done
+    const auto cpuSeconds = [&](std::uint64_t tests) {
+        return static_cast<double>(tests) / options.cpuTestsPerSecond;
+    };
+    const auto giveToCpu = [&](Block& block) {
+        block.preferred = Block::kOnCpu;
+        block.startSeconds = cpu;
+        block.endSeconds = cpu += cpuSeconds(block.work.candidateTests);
+        schedule.cpuParticles += block.work.particles;
+    };
+
+    std::vector<std::size_t> order;
+    double left = 0; // seconds of what is not handed out, by the devices together
+    double testsPerSecond = options.cpuTestsPerSecond;
+    for (const DeviceLimits& device : devices) testsPerSecond += device.rates.testsPerSecond;
+    std::uint64_t tests = 0;
+    for (const Block& block : schedule.blocks) tests += block.work.candidateTests;
+    schedule.lowerBoundSeconds = static_cast<double>(tests) / testsPerSecond;
+    const auto shareOf = [&](const Block& block) {
+        double seconds = 0;
+        for (const DeviceLimits& device : devices) {
+            const double own = deviceSeconds(device.rates, block.work.candidateTests, block.bytes);
+            seconds += own > 0 ? 1 / own : 0;
+        }
+        return seconds > 0 ? 1 / seconds : 0;
+    };
+
+    for (std::size_t b = 0; b < schedule.blocks.size(); ++b) {
+        const bool fits = std::any_of(budgets.begin(), budgets.end(), [&](std::uint64_t budget) {
+            return schedule.blocks[b].bytes.total() <= budget;
+        });
+        if (fits) {
+            order.push_back(b);
+            left += shareOf(schedule.blocks[b]);
+        } else {
+            if (!devices.empty()) schedule.tooLargeQueries += schedule.blocks[b].work.particles;
+            giveToCpu(schedule.blocks[b]);
+        }
+    }
+    std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+        return schedule.blocks[a].work.candidateTests > schedule.blocks[b].work.candidateTests;
+    });
+    std::size_t first = 0, last = order.size();
+    while (first < last) {
+        // The device that is ready first takes the largest block that it can hold.
+        std::size_t d = 0;
+        for (std::size_t k = 1; k < clocks.size(); ++k) {
+            if (clocks[k].ready() < clocks[d].ready()) d = k;
+        }
+        Block& small = schedule.blocks[order[last - 1]];
+        double devicesDone = 0;
+        for (const DeviceClock& clock : clocks) devicesDone = std::max(devicesDone, clock.ready());
+        const double cpuDone = cpu + cpuSeconds(small.work.candidateTests);
+        if (options.useCpu && cpu <= clocks[d].ready() && cpuDone <= devicesDone + left) {
+            left -= shareOf(small);
+            giveToCpu(small);
+            --last;
+            continue;
+        }
+        Block& large = schedule.blocks[order[first++]];
+        left -= shareOf(large);
+        for (std::size_t k = 0; large.bytes.total() > budgets[d] && k < clocks.size(); ++k) d = k;
+        const std::uint64_t outside = boundaryTests(large);
+        const DeviceClock::Times times =
+            clocks[d].run(large.work.candidateTests - outside, large.bytes.up, large.bytes.down);
+        cpu += cpuSeconds(outside);
+        large.preferred = static_cast<int>(d);
+        large.startSeconds = times.start;
+        large.endSeconds = times.end;
+        const std::uint64_t boundary = large.withHalo ? 0 : large.halo.boundaryQueries;
+        schedule.deviceParticles += large.work.particles - boundary;
+        schedule.cpuParticles += boundary;
+        schedule.boundaryLeaves += large.withHalo ? 0 : large.halo.boundaryLeaves;
+        schedule.devices[d].blocks += 1;
+        schedule.devices[d].particles += large.work.particles - boundary;
+        // The slots' buffers are as large as the largest block that passes through each.
+        std::vector<std::uint64_t>& held = inSlots[d];
+        const std::size_t slot =
+            (schedule.devices[d].blocks - 1) % static_cast<std::size_t>(devices[d].slots);
+        if (held.size() <= slot) held.resize(slot + 1);
+        held[slot] = std::max(held[slot], large.bytes.total());
+    }
+    schedule.cpuBusySeconds = cpu;
+    schedule.predictedSeconds = cpu;
+    for (std::size_t d = 0; d < clocks.size(); ++d) {
+        schedule.devices[d].busySeconds = clocks[d].searchSeconds();
+        schedule.devices[d].peakBytes =
+            std::accumulate(inSlots[d].begin(), inSlots[d].end(), std::uint64_t(0));
+        schedule.predictedSeconds = std::max(schedule.predictedSeconds, clocks[d].done());
+    }
+}
+
+Schedule scheduleWith(const SparseGridData& grid, const WorkloadTree& tree,
+                      const std::vector<DeviceLimits>& devices, const ScheduleOptions& options,
+                      BoundaryMode boundary)
+{
+    Schedule schedule;
+    schedule.boundary = boundary;
+    schedule.model = tree.options.model;
+    std::vector<std::uint64_t> budgets;
+    for (const DeviceLimits& device : devices) budgets.push_back(blockBudget(device));
+    const bool withHalo = boundary == BoundaryMode::kHalo;
+    const WorkloadNode& root = tree.nodes[0];
+    const std::uint64_t everything = blockBytes(root, tree.options.model).total();
+    const bool fitsOne = std::any_of(devices.begin(), devices.end(), [&](const DeviceLimits& device) {
+        return everything <= device.memoryBytes;
+    });
+    if (devices.empty() || (fitsOne && devices.size() == 1 && options.blockLog2Cells == 0)) {
+        if (root.work.particles > 0) schedule.blocks.push_back(blockOf(root, grid, tree.options.model, true));
+        for (std::size_t d = 0; d < devices.size(); ++d) budgets[d] = devices[d].memoryBytes;
+        ScheduleOptions alone = options;
+        alone.useCpu = devices.empty();
+        handOut(devices, budgets, alone, schedule);
+    } else {
+        schedule.inCore = false;
+        const std::uint64_t budget = *std::min_element(budgets.begin(), budgets.end());
+        const int ofTree = tree.options.blockLog2Cells, wanted = options.blockLog2Cells;
+        const int blockLog2Cells = ofTree && wanted ? std::min(ofTree, wanted) : ofTree + wanted;
+        Cutter cutter(grid, tree, budget, blockLog2Cells, withHalo);
+        schedule.blocks = cutter.cut();
+        handOut(devices, budgets, options, schedule);
+    }
+    for (const Block& block : schedule.blocks) {
+        schedule.largestLog2Cells = std::max(schedule.largestLog2Cells, block.log2Cells);
+    }
+    return schedule;
+}
+
+} // namespace
+
+std::uint64_t nodeBytesFor(const SparseGrid& grid, const WorkEstimate& estimate, const MemoryModel& model,
+                           const std::vector<DeviceLimits>& devices, const ScheduleOptions& options)
+{
+    // With fewer blocks than that for each executor they do not end together; with blocks of less than a sixteenth of what
+    // fits, halos and latencies cost more than that loses.
+    constexpr std::uint64_t kBlocksEach = 48, kSmallestShare = 16;
+    if (devices.empty()) return std::numeric_limits<std::uint64_t>::max();
+    WorkloadNode root;
+    root.endLeaf = static_cast<std::uint32_t>(grid.leafCount());
+    root.occupiedCells = grid.cellCount();
+    root.work = estimate.total;
+    const std::uint64_t everything = blockBytes(root, model).total();
+    const bool mayBeOne = devices.size() == 1 && options.blockLog2Cells == 0;
+    if (mayBeOne && everything <= devices[0].memoryBytes) return devices[0].memoryBytes;
+    std::uint64_t budget = std::numeric_limits<std::uint64_t>::max();
+    for (const DeviceLimits& device : devices) budget = std::min(budget, blockBudget(device));
+    const std::uint64_t executors = devices.size() + (options.useCpu ? 1 : 0);
+    return std::max(budget / kSmallestShare, std::min(budget, everything / (kBlocksEach * executors)));
+}
+
+std::uint64_t blockBudget(const DeviceLimits& device)
+{
+    return device.memoryBytes / static_cast<std::uint64_t>(std::max(device.slots, 1));
+}
+
+Schedule makeSchedule(const SparseGrid& grid, const WorkloadTree& tree,
+                      const std::vector<DeviceLimits>& devices, const ScheduleOptions& options)
+{
+    check(devices, options);
+    if (tree.nodes.empty() || tree.nodes[0].endLeaf != grid.leafCount() ||
+        tree.nodes[0].work.particles != grid.particleCount()) {
+        throw InvalidInput("the workload tree is not of a grid with " + std::to_string(grid.leafCount()) +
+                           " leaves");
+    }
+    if (options.boundary != BoundaryMode::kAuto) {
+        return scheduleWith(grid.data(), tree, devices, options, options.boundary);
+    }
+    Schedule halo = scheduleWith(grid.data(), tree, devices, options, BoundaryMode::kHalo);
+    if (halo.inCore) return halo;
+    Schedule cpu = scheduleWith(grid.data(), tree, devices, options, BoundaryMode::kCpu);
+    return cpu.predictedSeconds < halo.predictedSeconds ? cpu : halo;
+}
+
+const char* deviceKindName(DeviceKind kind)
+{
+    return kind == DeviceKind::kCpu ? "cpu" : kind == DeviceKind::kCuda ? "cuda" : "sim";
+}
+
+const char* boundaryModeName(BoundaryMode mode)
+{
+    return mode == BoundaryMode::kCpu ? "cpu" : mode == BoundaryMode::kHalo ? "halo" : "auto";
+}
+
+} // namespace vdb_nns

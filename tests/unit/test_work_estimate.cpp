@@ -1,0 +1,644 @@
+// The estimate: exact parts against brute force over cells and against the oracle, the expectation against a slow sum in
+// double, corrections against exact counts; and what it is corrected by: countQueries() and the search of chosen cells.
+#include "agreement/point_views.h"
+#include "estimate/overlap_table.h"
+#include "execute/count_queries.h"
+#include "execute/exact_test.h"
+#include "execute/kernels.h"
+#include "execute/thread_state.h"
+#include "lists/cell_candidates.h"
+#include "lists/neighbor_lists_data.h"
+#include "support/comparator.h"
+#include "vdb_nns/error.h"
+#include "vdb_nns/scene.h"
+#include "vdb_nns/work_estimate.h"
+
+#include <gtest/gtest.h>
+
+#include <array>
+#include <atomic>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <random>
+#include <string>
+#include <vector>
+
+namespace vdb_nns::testing {
+
+namespace {
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+constexpr double kInf = std::numeric_limits<double>::infinity();
+
+SparseGrid gridOf(const ParticleView& view, double radius, int reach)
+{
+    SearchOptions options;
+    options.reach = reach;
+    return SearchEngine().buildGrid(view, radius, options);
+}
+
+WorkEstimate estimateBy(const SparseGrid& grid, Estimator estimator, bool correctCrowding = true)
+{
+    EstimateOptions options;
+    options.estimator = estimator;
+    options.correctCrowding = correctCrowding;
+    return estimateWork(grid, options);
+}
+
+// check(set, grid) for every distribution and reach.
+template <typename Check>
+void forEachGrid(const Check& check)
+{
+    for (const PointSet& set : arraySets(Precision::kDouble, 3)) {
+        const SetView input(set, Form::kDoubles);
+        for (int reach = 1; reach <= 3; ++reach) {
+            SCOPED_TRACE(set.name + ", reach " + std::to_string(reach));
+            check(set, gridOf(input.view(), set.radius, reach));
+        }
+    }
+}
+
+// The particles of a scene in a grid of reach 1.
+struct SceneGrid {
+    SceneGrid(const char* name, std::uint64_t count)
+    {
+        SceneOptions options;
+        options.name = name;
+        options.count = count;
+        scene = makeScene(options);
+        grid = gridOf(ParticleView::fromArray(scene.positions.data(), count), scene.suggestedRadius, 1);
+    }
+
+    Scene scene;
+    SparseGrid grid;
+};
+
+// What each leaf asks for, from the cell of every particle and nothing else of the engine; pairs as the model expects.
+std::vector<Work> slowWork(const SparseGrid& grid, const OverlapTable& overlap)
+{
+    const std::vector<Vec3i> cells = cellsOf(grid);
+    std::map<Vec3i, std::uint64_t> count;
+    for (const std::uint32_t number : grid.particleNumbers()) ++count[cells[number]];
+    const int reach = grid.reach();
+    std::vector<Work> leaves;
+    for (std::uint64_t l = 0; l < grid.leafCount(); ++l) {
+        const SparseGrid::Leaf leaf = grid.leaf(l);
+        Work work;
+        for (std::uint64_t s = leaf.firstSlot; s < leaf.firstSlot + leaf.particleCount; ++s) {
+            const Vec3i& own = cells[grid.particleNumbers()[s]];
+            std::uint64_t candidates = 0;
+            double expected = -overlap.share(0, 0, 0);
+            for (int dx = -reach; dx <= reach; ++dx) {
+                for (int dy = -reach; dy <= reach; ++dy) {
+                    for (int dz = -reach; dz <= reach; ++dz) {
+                        const auto found = count.find({own[0] + dx, own[1] + dy, own[2] + dz});
+                        if (found == count.end()) continue;
+                        candidates += found->second;
+                        expected += static_cast<double>(found->second) * overlap.share(dx, dy, dz);
+                    }
+                }
+            }
+            work += {1, expected, candidates, (candidates + 31) / 32 * 4};
+        }
+        leaves.push_back(work);
+    }
+    return leaves;
+}
+
+// What the CPU search holds, less the two words past the rows of each task that it writes 64 bits at a time into.
+std::uint64_t maskBytesHeld(const SparseGrid& grid)
+{
+    SearchOptions options;
+    options.encoding = Encoding::kMask;
+    const NeighborLists lists = SearchEngine().search(grid, options);
+    return lists.data().rowBytes - 8 * lists.data().maskRuns.size();
+}
+
+Work sumOf(const std::vector<Work>& leaves)
+{
+    Work sum;
+    for (const Work& leaf : leaves) sum += leaf;
+    return sum;
+}
+
+TEST(WorkEstimate, TestsBytesAndParticlesAreThoseOfEveryCell)
+{
+    forEachGrid([](const PointSet&, const SparseGrid& grid) {
+        const std::vector<Work> slow =
+            slowWork(grid, OverlapTable::byQuadrature(grid.data().radiusCells, grid.reach()));
+        const WorkEstimate estimate = estimateBy(grid, Estimator::kExpected);
+        ASSERT_EQ(estimate.leaves.size(), grid.leafCount());
+        for (std::size_t l = 0; l < slow.size(); ++l) {
+            EXPECT_EQ(estimate.leaves[l].particles, grid.leaf(l).particleCount) << l;
+            EXPECT_EQ(estimate.leaves[l].candidateTests, slow[l].candidateTests) << l;
+            EXPECT_EQ(estimate.leaves[l].maskBytes, slow[l].maskBytes) << l;
+        }
+        EXPECT_EQ(estimate.total.particles, grid.particleCount());
+        EXPECT_EQ(estimate.total.candidateTests, countCandidateTests(grid));
+        EXPECT_EQ(estimate.total.maskBytes, maskBytesHeld(grid));
+        EXPECT_EQ(estimate.total.expectedPairs, sumOf(estimate.leaves).expectedPairs);
+    });
+}
+
+// 1e-5: the shares and sums of a cell are floats, with at most 343 terms, all positive but the query itself.
+TEST(WorkEstimate, TheExpectationIsTheSumOfSharesOverCells)
+{
+    forEachGrid([](const PointSet&, const SparseGrid& grid) {
+        const std::vector<Work> slow =
+            slowWork(grid, OverlapTable::byQuadrature(grid.data().radiusCells, grid.reach()));
+        const WorkEstimate estimate = estimateBy(grid, Estimator::kExpected, false);
+        for (std::size_t l = 0; l < slow.size(); ++l) {
+            const double tolerance = 1e-5 * slow[l].expectedPairs + 1e-6;
+            EXPECT_NEAR(estimate.leaves[l].expectedPairs, slow[l].expectedPairs, tolerance) << l;
+        }
+        EXPECT_FALSE(estimate.corrected);
+        EXPECT_EQ(estimate.countedQueries, 0u);
+        EXPECT_EQ(estimate.correction, 1);
+    });
+}
+
+// A share of 0.1 by 1e6 samples is right to 0.3 %; the shares of a cell's reach average out.
+TEST(WorkEstimate, MonteCarloIsTheExpectationButForItsSamples)
+{
+    for (const PointSet& set : arraySets(Precision::kDouble, 3)) {
+        if (set.name != "block" && set.name != "clusters") continue;
+        const SetView input(set, Form::kDoubles);
+        for (int reach = 1; reach <= 3; ++reach) {
+            const SparseGrid grid = gridOf(input.view(), set.radius, reach);
+            EstimateOptions options;
+            options.estimator = Estimator::kMonteCarlo;
+            options.monteCarloSamples = 100'000;
+            const WorkEstimate sampled = estimateWork(grid, options);
+            const double expected = estimateBy(grid, Estimator::kExpected, false).total.expectedPairs;
+            EXPECT_NEAR(sampled.total.expectedPairs, expected, 0.01 * expected) << set.name << " " << reach;
+            EXPECT_NE(sampled.total.expectedPairs, expected);
+            EXPECT_FALSE(sampled.corrected);
+            options.seed = 2;
+            EXPECT_NE(estimateWork(grid, options).total.expectedPairs, sampled.total.expectedPairs);
+        }
+    }
+}
+
+TEST(WorkEstimate, CountedIsTheTruthOfEveryLeaf)
+{
+    forEachGrid([](const PointSet& set, const SparseGrid& grid) {
+        const Lists oracle = oracleLists(set);
+        const WorkEstimate estimate = estimateBy(grid, Estimator::kCounted);
+        for (std::uint64_t l = 0; l < grid.leafCount(); ++l) {
+            const SparseGrid::Leaf leaf = grid.leaf(l);
+            std::size_t pairs = 0;
+            for (std::uint64_t s = leaf.firstSlot; s < leaf.firstSlot + leaf.particleCount; ++s) {
+                pairs += oracle[grid.particleNumbers()[s]].size();
+            }
+            EXPECT_EQ(estimate.leaves[l].expectedPairs, static_cast<double>(pairs)) << l;
+        }
+        EXPECT_EQ(estimate.countedQueries, grid.particleCount());
+    });
+}
+
+TEST(WorkEstimate, FixedIsTheSameForEveryParticle)
+{
+    forEachGrid([](const PointSet&, const SparseGrid& grid) {
+        for (const double neighbors : {0.0, 29.5, 64.0}) {
+            EstimateOptions options;
+            options.estimator = Estimator::kFixed;
+            options.fixedNeighbors = neighbors;
+            for (const Work& leaf : estimateWork(grid, options).leaves) {
+                EXPECT_EQ(leaf.expectedPairs, static_cast<double>(leaf.particles) * neighbors);
+            }
+        }
+    });
+}
+
+// |estimate / truth - 1| over all pairs.
+double errorOf(const WorkEstimate& estimate, const SparseGrid& grid)
+{
+    const double truth = estimateBy(grid, Estimator::kCounted).total.expectedPairs;
+    return std::fabs(estimate.total.expectedPairs / truth - 1);
+}
+
+TEST(WorkEstimate, APilotCorrectsARegularFluid)
+{
+    const SceneGrid block("block", 125000);
+    const WorkEstimate estimate = estimateBy(block.grid, Estimator::kExpected);
+    EXPECT_FALSE(estimate.corrected);
+    EXPECT_GT(estimate.countedQueries, 0u);
+    EXPECT_LT(estimate.countedQueries, 125000u / 4);
+    EXPECT_NE(estimate.correction, 1);
+    EXPECT_LT(estimate.margin, 0.05);
+    EXPECT_LT(errorOf(estimate, block.grid), 0.03);
+    EXPECT_GT(errorOf(estimateBy(block.grid, Estimator::kExpected, false), block.grid), 0.05);
+}
+
+TEST(WorkEstimate, ASampleCorrectsWhereParticlesCrowd)
+{
+    const SceneGrid clusters("clusters", 40000);
+    const WorkEstimate estimate = estimateBy(clusters.grid, Estimator::kExpected);
+    EXPECT_TRUE(estimate.corrected);
+    EXPECT_GT(estimate.countedQueries, 40000u / 200);
+    EXPECT_GT(estimate.margin, 0);
+    EXPECT_LT(errorOf(estimate, clusters.grid), 0.10);
+    EXPECT_GT(errorOf(estimateBy(clusters.grid, Estimator::kExpected, false), clusters.grid), 0.10);
+}
+
+// Even of all queries a sample gives a part no more than a share of its own ratio, the rest being its parent's (so that
+// parts with few samples are sane): parts need not be exact, and the total only as far as that averages out.
+TEST(WorkEstimate, ASampleOfAllQueriesIsCloseToTheTruth)
+{
+    for (const char* name : {"block", "clusters", "spray"}) {
+        const SceneGrid scene(name, 20000);
+        EstimateOptions options;
+        options.estimator = Estimator::kSampled;
+        options.sampleFraction = 1;
+        const WorkEstimate estimate = estimateWork(scene.grid, options);
+        EXPECT_TRUE(estimate.corrected);
+        EXPECT_GE(estimate.countedQueries, 20000u);
+        EXPECT_LT(errorOf(estimate, scene.grid), 0.05) << name;
+        const WorkEstimate truth = estimateBy(scene.grid, Estimator::kCounted);
+        EXPECT_NEAR(estimate.correction,
+                    truth.total.expectedPairs /
+                        estimateBy(scene.grid, Estimator::kExpected, false).total.expectedPairs,
+                    1e-3);
+    }
+}
+
+// A small share of the queries of a small scene is next to none, so an estimate must not hang on them.
+TEST(WorkEstimate, AFewSamplesDoNotSpoilASmallScene)
+{
+    for (const char* name : {"block", "spray", "clusters"}) {
+        for (const std::uint64_t count : {120, 200, 500, 1000, 2000, 5000}) {
+            const SceneGrid scene(name, count);
+            const double plain = errorOf(estimateBy(scene.grid, Estimator::kExpected, false), scene.grid);
+            const double corrected = errorOf(estimateBy(scene.grid, Estimator::kExpected), scene.grid);
+            EXPECT_LT(corrected, std::max(1.1 * plain, 0.15)) << name << " " << count;
+        }
+    }
+}
+
+bool isSame(const Work& a, const Work& b)
+{
+    return a.particles == b.particles && a.expectedPairs == b.expectedPairs &&
+           a.candidateTests == b.candidateTests && a.maskBytes == b.maskBytes;
+}
+
+TEST(WorkEstimate, IsTheSameForAnyNumberOfThreads)
+{
+    for (const char* name : {"block", "clusters"}) {
+        const SceneGrid scene(name, 20000);
+        for (const Estimator estimator : {Estimator::kExpected, Estimator::kMonteCarlo, Estimator::kSampled,
+                                          Estimator::kCounted, Estimator::kFixed}) {
+            SCOPED_TRACE(std::string(name) + " " + estimatorName(estimator));
+            EstimateOptions options;
+            options.estimator = estimator;
+            options.monteCarloSamples = 1000;
+            WorkEstimate first;
+            for (const int threads : {1, 2, 4}) {
+                WorkEstimate estimate;
+                runOnThreads(threads, [&] { estimate = estimateWork(scene.grid, options); });
+                if (threads == 1) first = estimate;
+                ASSERT_EQ(estimate.leaves.size(), first.leaves.size());
+                for (std::size_t l = 0; l < first.leaves.size(); ++l) {
+                    EXPECT_TRUE(isSame(estimate.leaves[l], first.leaves[l])) << l;
+                }
+                EXPECT_TRUE(isSame(estimate.total, first.total));
+                EXPECT_EQ(estimate.correction, first.correction);
+                EXPECT_EQ(estimate.margin, first.margin);
+                EXPECT_EQ(estimate.countedQueries, first.countedQueries);
+            }
+        }
+    }
+}
+
+TEST(WorkEstimate, BadOptionsAreRefused)
+{
+    const double one[3] = {1, 2, 3};
+    const SparseGrid grid = gridOf(ParticleView::fromArray(one, 1), 1, 1);
+    for (const double fraction : {0.0, -0.5, 1.0001, kNan, kInf}) {
+        EstimateOptions options;
+        options.sampleFraction = fraction;
+        EXPECT_THROW(estimateWork(grid, options), InvalidInput) << fraction;
+    }
+    for (const double neighbors : {-1.0, kNan, kInf}) {
+        EstimateOptions options;
+        options.fixedNeighbors = neighbors;
+        EXPECT_THROW(estimateWork(grid, options), InvalidInput) << neighbors;
+    }
+    EstimateOptions options;
+    options.monteCarloSamples = 0;
+    EXPECT_THROW(estimateWork(grid, options), InvalidInput);
+}
+
+TEST(WorkEstimate, AnyShareAboveZeroIsASample)
+{
+    const SceneGrid scene("clusters", 3000);
+    for (const double fraction : {1.0, 0.99, 0.5, 1e-3, 1e-9, 0x1p-32, 1e-20, 5e-324}) {
+        for (const Estimator estimator : {Estimator::kExpected, Estimator::kSampled}) {
+            EstimateOptions options;
+            options.estimator = estimator;
+            options.sampleFraction = fraction;
+            const WorkEstimate estimate = estimateWork(scene.grid, options);
+            EXPECT_TRUE(std::isfinite(estimate.total.expectedPairs)) << fraction;
+            EXPECT_EQ(estimate.total.candidateTests, countCandidateTests(scene.grid)) << fraction;
+        }
+    }
+}
+
+TEST(WorkEstimate, NothingNeedsNothing)
+{
+    const double nowhere[3] = {kNan, 0, 0};
+    for (const SparseGrid& grid : {SparseGrid(), gridOf(ParticleView::fromArray(nowhere, 1), 1, 2)}) {
+        for (const Estimator estimator : {Estimator::kExpected, Estimator::kMonteCarlo, Estimator::kSampled,
+                                          Estimator::kCounted, Estimator::kFixed}) {
+            const WorkEstimate estimate = estimateBy(grid, estimator);
+            EXPECT_TRUE(estimate.leaves.empty());
+            EXPECT_TRUE(isSame(estimate.total, Work{}));
+            EXPECT_EQ(estimate.estimator, estimator);
+            EXPECT_EQ(estimate.countedQueries, 0u);
+        }
+    }
+}
+
+// Asks to stop at the n-th question.
+class StopAfter final : public Progress {
+public:
+    explicit StopAfter(int questions) : mLeft(questions) {}
+    void update(const char*, double) override {}
+    bool cancelled() const override { return mLeft.fetch_sub(1) <= 0; }
+    int left() const { return mLeft; }
+
+private:
+    mutable std::atomic<int> mLeft;
+};
+
+TEST(WorkEstimate, IsStoppedByAProgress)
+{
+    const SceneGrid scene("clusters", 20000);
+    for (const Estimator estimator : {Estimator::kExpected, Estimator::kMonteCarlo, Estimator::kSampled,
+                                      Estimator::kCounted, Estimator::kFixed}) {
+        EstimateOptions options;
+        options.estimator = estimator;
+        options.monteCarloSamples = 1000;
+        StopAfter never(1'000'000);
+        options.progress = &never;
+        estimateWork(scene.grid, options);
+        const int questions = 1'000'000 - never.left();
+        ASSERT_GT(questions, 0);
+        for (const int after : {0, questions / 2}) {
+            StopAfter stop(after);
+            options.progress = &stop;
+            EXPECT_THROW(estimateWork(scene.grid, options), Cancelled)
+                << estimatorName(estimator) << " " << after << " of " << questions;
+        }
+    }
+}
+
+// Slots in an order of no meaning, one of them twice.
+TEST(CountQueries, EverySlotHasTheOraclesCount)
+{
+    const CancelCheck cancel(nullptr, "count");
+    forEachGrid([&](const PointSet& set, const SparseGrid& grid) {
+        const Lists oracle = oracleLists(set);
+        std::vector<std::uint32_t> slots;
+        for (std::uint32_t s = 0; s < grid.particleCount(); ++s) slots.push_back(s);
+        std::shuffle(slots.begin(), slots.end(), std::mt19937(5));
+        if (!slots.empty()) slots.push_back(slots[0]);
+        const std::vector<std::uint32_t> counts = countQueries(grid.data(), slots, cancel);
+        ASSERT_EQ(counts.size(), slots.size());
+        for (std::size_t k = 0; k < slots.size(); ++k) {
+            const std::uint32_t number = grid.particleNumbers()[slots[k]];
+            EXPECT_EQ(counts[k], oracle[number].size()) << "slot " << slots[k] << ", particle " << number;
+        }
+    });
+}
+
+TEST(CountQueries, VoxelsUnderEveryMapToo)
+{
+    const CancelCheck cancel(nullptr, "count");
+    for (const PointSet& set : gridSets(3)) {
+        if (set.name.find("block") == std::string::npos && set.name.find("near") == std::string::npos)
+            continue;
+        const SetView input(set, Form::kVoxels);
+        const Lists oracle = oracleLists(set);
+        const SparseGrid grid = gridOf(input.view(), set.radius, 0);
+        std::vector<std::uint32_t> slots;
+        for (std::uint32_t s = 0; s < grid.particleCount(); s += 3) slots.push_back(s);
+        const std::vector<std::uint32_t> counts = countQueries(grid.data(), slots, cancel);
+        for (std::size_t k = 0; k < slots.size(); ++k) {
+            EXPECT_EQ(counts[k], oracle[grid.particleNumbers()[slots[k]]].size()) << set.name;
+        }
+    }
+}
+
+TEST(CountQueries, IsStoppedByAProgress)
+{
+    const double one[3] = {1, 2, 3};
+    const SparseGrid grid = gridOf(ParticleView::fromArray(one, 1), 1, 1);
+    StopAfter stop(0);
+    EXPECT_THROW(countQueries(grid.data(), {0}, CancelCheck(&stop, "count")), Cancelled);
+    EXPECT_TRUE(countQueries(grid.data(), {}, CancelCheck(&stop, "count")).empty());
+}
+
+using Cells = std::array<std::uint64_t, 8>;
+
+// Searches some cells of each leaf, and of those only the queries in [first, end) of the leaf's.
+class CellSearcher {
+public:
+    CellSearcher(const SparseGrid& grid, SimdLevel level)
+        : mGrid(grid),
+          mKernels(kernelsFor(level)),
+          mExact(grid.data().view, grid.radius()),
+          mContext{blockViewOf(grid.data()),
+                   makeFilterBounds(grid.data().radiusCells, grid.reach(), grid.data().coordinateError)}
+    {
+        mState.exact = &mExact;
+        mPool.begin(std::uint64_t(1) << 26, grid.particleCount());
+        mState.pool = &mPool;
+        mState.sink.slotBase = 0;
+        mState.sink.rowCount = counts.data();
+        mState.sink.rowBegin = rows.data();
+    }
+
+    void run(bool lists, std::uint32_t leaf, std::uint32_t first, std::uint32_t end, const Cells& cells)
+    {
+        LeafNeighborhood neighborhood;
+        mGrid.data().topology.neighborhoods({&mGrid.data().leafOrigins[leaf], 1}, &neighborhood);
+        const SearchTask task{leaf, first, end, neighborhood.leaf, cells.data()};
+        (lists ? mKernels.index : mKernels.count)(mContext, task, mState.judge(), mState.halo, mState.sink,
+                                                  mState.statistics);
+    }
+
+    // The mask rows of the queries of one cell.
+    const std::uint32_t* runMasks(std::uint32_t leaf, const LeafNeighborhood& neighborhood, const Cells& cell)
+    {
+        const LeafRecord* const record = mGrid.data().leaves.data() + leaf;
+        const SearchTask task{leaf, record[0].firstSlot, record[1].firstSlot, neighborhood.leaf, cell.data()};
+        mKernels.mask(mContext, task, mState.judge(), mState.halo, mState.sink, mState.statistics);
+        return mState.sink.taskBegin;
+    }
+
+    const BlockView& block() const { return mContext.block; }
+
+    void finish() { mState.finishRows(); }
+
+    static constexpr std::uint32_t kUntouched = 0xdeadbeef;
+
+private:
+    SparseGrid mGrid;
+    decltype(kernelsFor(SimdLevel::kBest)) mKernels;
+    ExactTest mExact;
+    SearchContext mContext;
+    ChunkPool mPool{std::vector<PageBlock>()};
+    ThreadState mState;
+
+public:
+    std::vector<std::uint32_t> counts = std::vector<std::uint32_t>(mGrid.particleCount() + 1, kUntouched);
+    std::vector<std::uint32_t*> rows = std::vector<std::uint32_t*>(mGrid.particleCount() + 1);
+};
+
+// Of every leaf some cells, in each instruction set: their queries have the oracle's row, the others are left alone.
+void expectChosenCells(const PointSet& set, const SparseGrid& grid, const Lists& oracle, SimdLevel level,
+                       bool lists)
+{
+    CellSearcher searcher(grid, level);
+    std::mt19937_64 random(11);
+    std::vector<bool> chosen(grid.particleCount());
+    const std::vector<Vec3i> cellOf = cellsOf(grid);
+    for (std::uint32_t l = 0; l < grid.leafCount(); ++l) {
+        const SparseGrid::Leaf leaf = grid.leaf(l);
+        const auto first = static_cast<std::uint32_t>(leaf.firstSlot + random() % 2 * leaf.particleCount / 3);
+        const auto end = static_cast<std::uint32_t>(leaf.firstSlot + leaf.particleCount);
+        Cells cells; // also some that are empty
+        for (std::uint64_t& word : cells) word = random() | (l % 3 ? 0 : random());
+        for (std::uint32_t s = first; s < end; ++s) {
+            const Vec3i& cell = cellOf[grid.particleNumbers()[s]];
+            chosen[s] = cells[cell[0] & 7] >> ((cell[1] & 7) * 8 + (cell[2] & 7)) & 1;
+        }
+        searcher.run(lists, l, first, end, cells);
+    }
+    searcher.finish();
+    for (std::uint32_t s = 0; s < grid.particleCount(); ++s) {
+        const std::uint32_t count = searcher.counts[s];
+        if (!chosen[s]) {
+            EXPECT_EQ(count, CellSearcher::kUntouched) << set.name << " " << s;
+            continue;
+        }
+        const std::vector<std::uint32_t>& truth = oracle[grid.particleNumbers()[s]];
+        ASSERT_EQ(count, truth.size()) << set.name << " " << s << " " << simdLevelName(level);
+        if (!lists) continue;
+        std::vector<std::uint32_t> row(searcher.rows[s], searcher.rows[s] + count);
+        std::sort(row.begin(), row.end());
+        EXPECT_EQ(row, truth) << set.name << " " << s << " " << simdLevelName(level);
+    }
+}
+
+TEST(SearchOfChosenCells, FindsTheirRowsAndNoOthers)
+{
+    for (const PointSet& set : arraySets(Precision::kDouble, 4)) {
+        const SetView input(set, Form::kDoubles);
+        const Lists oracle = oracleLists(set);
+        for (int reach = 1; reach <= 3; ++reach) {
+            SCOPED_TRACE("reach " + std::to_string(reach));
+            const SparseGrid grid = gridOf(input.view(), set.radius, reach);
+            for (const SimdLevel level : simdLevels()) {
+                for (const bool lists : {false, true}) expectChosenCells(set, grid, oracle, level, lists);
+            }
+        }
+    }
+}
+
+// The rows of one cell are padded to words; a row's bits stand for the candidates in visiting order.
+void expectMasksOfCell(const SparseGrid& grid, const Lists& oracle, CellSearcher& searcher, std::uint32_t l,
+                       int x, int bit)
+{
+    LeafNeighborhood neighborhood;
+    grid.data().topology.neighborhoods({&grid.data().leafOrigins[l], 1}, &neighborhood);
+    Cells cell{};
+    cell[static_cast<std::size_t>(x)] = std::uint64_t(1) << bit;
+    const std::uint32_t* row = searcher.runMasks(l, neighborhood, cell);
+    std::vector<std::uint32_t> candidates, queries;
+    forEachCandidateRun(searcher.block(), neighborhood, x, bit >> 3, bit & 7,
+                        [&](std::uint32_t begin, std::uint32_t end) {
+                            for (; begin < end; ++begin) candidates.push_back(begin);
+                        });
+    const std::vector<Vec3i> cells = cellsOf(grid);
+    const Vec3i origin = grid.leaf(l).origin;
+    const Vec3i own{origin[0] + x, origin[1] + (bit >> 3), origin[2] + (bit & 7)};
+    for (const std::uint32_t slot : candidates) {
+        const std::uint32_t query = grid.particleNumbers()[slot];
+        if (cells[query] != own) continue;
+        std::vector<std::uint32_t> found;
+        for (std::size_t c = 0; c < (candidates.size() + 31) / 32 * 32; ++c) {
+            if (!(row[c / 32] >> c % 32 & 1)) continue;
+            ASSERT_LT(c, candidates.size()) << "a bit in the padding";
+            found.push_back(grid.particleNumbers()[candidates[c]]);
+        }
+        std::sort(found.begin(), found.end());
+        EXPECT_EQ(found, oracle[query]) << query;
+        EXPECT_EQ(searcher.counts[slot], found.size());
+        row += (candidates.size() + 31) / 32;
+    }
+}
+
+TEST(SearchOfChosenCells, MakesTheMasksOfOneCell)
+{
+    for (const PointSet& set : arraySets(Precision::kDouble, 4)) {
+        const SetView input(set, Form::kDoubles);
+        const Lists oracle = oracleLists(set);
+        for (int reach = 1; reach <= 3; ++reach) {
+            SCOPED_TRACE(set.name + ", reach " + std::to_string(reach));
+            const SparseGrid grid = gridOf(input.view(), set.radius, reach);
+            for (const SimdLevel level : simdLevels()) {
+                CellSearcher searcher(grid, level);
+                std::uint64_t number = 0;
+                for (std::uint32_t l = 0; l < grid.leafCount(); ++l) {
+                    const SparseGrid::Leaf leaf = grid.leaf(l);
+                    for (int x = 0; x < 8; ++x) {
+                        for (std::uint64_t word = leaf.occupancy[x]; word; word &= word - 1) {
+                            if (number++ % 5) continue; // of every fifth cell
+                            expectMasksOfCell(grid, oracle, searcher, l, x, __builtin_ctzll(word));
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+// The sums of an estimate do not depend on the processor.
+TEST(ExpectCells, IsTheSameWithEveryInstructionSet)
+{
+    forEachGrid([](const PointSet&, const SparseGrid& grid) {
+        const OverlapTable overlap = OverlapTable::byQuadrature(grid.data().radiusCells, grid.reach());
+        std::vector<float> shares;
+        for (int x = -grid.reach(); x <= grid.reach(); ++x) {
+            for (int y = -grid.reach(); y <= grid.reach(); ++y) {
+                for (int z = -grid.reach(); z <= grid.reach(); ++z)
+                    shares.push_back(static_cast<float>(overlap.share(x, y, z)));
+            }
+        }
+        const BlockView block = blockViewOf(grid.data());
+        CellCounts cube;
+        for (std::uint32_t l = 0; l < grid.leafCount(); ++l) {
+            LeafNeighborhood neighborhood;
+            grid.data().topology.neighborhoods({&grid.data().leafOrigins[l], 1}, &neighborhood);
+            std::array<float, 512> first{}, expected{};
+            std::array<std::uint32_t, 512> firstCandidates{}, candidates{};
+            kernelsFor(SimdLevel::kScalar)
+                .expectCells(block, l, neighborhood.leaf, shares.data(), cube, first.data(),
+                             firstCandidates.data());
+            for (const SimdLevel level : simdLevels()) {
+                kernelsFor(level).expectCells(block, l, neighborhood.leaf, shares.data(), cube,
+                                              expected.data(), candidates.data());
+                EXPECT_EQ(expected, first) << simdLevelName(level);
+                EXPECT_EQ(candidates, firstCandidates) << simdLevelName(level);
+                EXPECT_EQ(cube.touchedCount, 0u);
+            }
+        }
+        for (const std::uint32_t count : cube.count) EXPECT_EQ(count, 0u);
+    });
+}
+
+} // namespace
+
+} // namespace vdb_nns::testing

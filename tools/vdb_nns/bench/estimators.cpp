@@ -1,0 +1,175 @@
+// See estimators.h.
+#include "estimators.h"
+
+#include "device_options.h"
+#include "numbers.h"
+#include "vdb_nns/error.h"
+#include "vdb_nns/schedule.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <sstream>
+
+namespace vdb_nns::cli {
+namespace {
+
+constexpr int kBlockLog2Cells = 6;
+constexpr double kFewestPairs = 1e4;
+
+struct BlockPairs {
+    double truth = 0, expected = 0, reservedBytes = 0, usedBytes = 0;
+};
+
+// The leaves of a grid stand in Morton order, so blocks are runs of them.
+std::vector<BlockPairs> blocksOf(const SparseGrid& grid, const WorkEstimate& truth,
+                                 const WorkEstimate& estimate, const MemoryModel& model)
+{
+    std::vector<BlockPairs> blocks;
+    BlockPairs open;
+    const auto blockOf = [&](std::uint64_t leaf) {
+        const Vec3i o = grid.leaf(leaf).origin;
+        return Vec3i{o[0] >> kBlockLog2Cells, o[1] >> kBlockLog2Cells, o[2] >> kBlockLog2Cells};
+    };
+    WorkloadNode sized;
+    const auto bytesOf = [&](const Work& work, const MemoryModel& of) {
+        sized.work = work;
+        return static_cast<double>(blockBytes(sized, of).down);
+    };
+    MemoryModel exact = model;
+    exact.margin = exact.auxNeighbors = 0;
+    for (std::uint64_t l = 0; l < grid.leafCount(); ++l) {
+        if (l > 0 && open.truth >= kFewestPairs && blockOf(l) != blockOf(l - 1)) {
+            blocks.push_back(open);
+            open = {};
+        }
+        open.truth += truth.leaves[l].expectedPairs;
+        // The size of masks is known, whatever the number of pairs.
+        const Work& known = model.encoding == Encoding::kMask ? truth.leaves[l] : estimate.leaves[l];
+        open.expected += known.expectedPairs;
+        open.reservedBytes += bytesOf(estimate.leaves[l], model);
+        open.usedBytes += bytesOf(truth.leaves[l], exact);
+    }
+    if (open.truth > 0) blocks.push_back(open);
+    return blocks;
+}
+
+double quantile(const std::vector<std::pair<double, double>>& sorted, double weight)
+{
+    double sum = 0;
+    for (const auto& [error, pairs] : sorted) {
+        sum += pairs;
+        if (sum >= weight) return error;
+    }
+    return sorted.empty() ? 0 : sorted.back().first;
+}
+
+void judge(const std::vector<BlockPairs>& blocks, EstimatorResult& result)
+{
+    std::vector<std::pair<double, double>> errors;
+    double truth = 0, expected = 0, square = 0, overflows = 0, reserved = 0, used = 0;
+    for (const BlockPairs& block : blocks) {
+        const double error = (block.expected - block.truth) / block.truth;
+        errors.emplace_back(std::fabs(error), block.truth);
+        truth += block.truth;
+        expected += block.expected;
+        square += block.truth * error * error;
+        reserved += block.reservedBytes;
+        used += block.usedBytes;
+        if (block.usedBytes > block.reservedBytes) overflows += block.truth;
+    }
+    std::sort(errors.begin(), errors.end());
+    result.blocks = blocks.size();
+    if (truth <= 0) return;
+    result.bias = expected / truth - 1;
+    result.rmse = std::sqrt(square / truth);
+    result.p50 = quantile(errors, 0.5 * truth);
+    result.p99 = quantile(errors, 0.99 * truth);
+    result.most = errors.back().first;
+    result.overflowRate = overflows / truth;
+    result.reservedOverUsed = reserved / used;
+}
+
+EstimateOptions optionsOf(const std::string& name, double meanNeighbors)
+{
+    EstimateOptions options;
+    if (name == "paper") options.estimator = Estimator::kMonteCarlo;
+    if (name == "uncorrected" || name == "mask") options.correctCrowding = false;
+    if (name == "sampled") options.estimator = Estimator::kSampled;
+    if (name == "counted") options.estimator = Estimator::kCounted;
+    if (name == "fixed") {
+        options.estimator = Estimator::kFixed;
+        options.fixedNeighbors = meanNeighbors;
+    }
+    return options;
+}
+
+} // namespace
+
+const std::vector<std::string>& estimatorNames()
+{
+    // The paper's is Monte Carlo with its S_aux; uncorrected is the expectation by quadrature as it is; fixed is given the
+    // true mean, which nobody knows; mask is the exact size of membership bits.
+    static const std::vector<std::string> names = {"paper",   "uncorrected", "expected", "sampled",
+                                                   "counted", "fixed",       "mask"};
+    return names;
+}
+
+std::vector<std::string> parseEstimators(const std::string& list)
+{
+    if (list.empty()) return {};
+    if (list == "all") return estimatorNames();
+    std::vector<std::string> names;
+    std::istringstream parts(list);
+    for (std::string name; std::getline(parts, name, ',');) {
+        if (std::find(estimatorNames().begin(), estimatorNames().end(), name) == estimatorNames().end()) {
+            std::string known;
+            for (const std::string& each : estimatorNames()) known += (known.empty() ? "" : ", ") + each;
+            throw InvalidInput("--estimator: '" + name + "' is none; there are " + known + ", or all");
+        }
+        names.push_back(name);
+    }
+    return names;
+}
+
+std::vector<EstimatorResult> measureEstimators(const std::string& scene,
+                                               const std::vector<std::string>& names, const SparseGrid& grid,
+                                               std::uint64_t repeat, Progress* progress)
+{
+    if (names.empty()) return {};
+    const EstimateOptions counted = optionsOf("counted", 0);
+    const WorkEstimate truth = estimateWork(grid, counted);
+    const double mean =
+        grid.particleCount() ? truth.total.expectedPairs / static_cast<double>(grid.particleCount()) : 0;
+    std::vector<EstimatorResult> results;
+    std::vector<double> searchSeconds;
+    for (std::uint64_t run = 0; run < repeat; ++run)
+        searchSeconds.push_back(estimateWork(grid, counted).seconds);
+    for (const std::string& name : names) {
+        EstimateOptions options = optionsOf(name, mean);
+        options.progress = progress;
+        EstimatorResult result;
+        result.scene = scene;
+        result.estimator = name;
+        result.searchSeconds = median(searchSeconds);
+        WorkEstimate estimate;
+        std::vector<double> seconds;
+        for (std::uint64_t run = 0; run < repeat; ++run) {
+            estimate = estimateWork(grid, options);
+            seconds.push_back(estimate.seconds);
+        }
+        result.seconds = median(seconds);
+        result.countedQueries = estimate.countedQueries;
+        MemoryModel model = memoryModel({}, name == "mask" ? Encoding::kMask : Encoding::kIndex, estimate);
+        if (name == "paper") {
+            model.margin = 0;
+            model.auxNeighbors = 3.7;
+        }
+        if (name == "fixed" || name == "counted" || name == "uncorrected") model.margin = 0;
+        judge(blocksOf(grid, truth, estimate, model), result);
+        results.push_back(result);
+    }
+    return results;
+}
+
+} // namespace vdb_nns::cli

@@ -1,0 +1,238 @@
+// vdb_nns plan: a dry run of a search: grid, estimate, workload tree and schedule, drawn and reported.
+#include "cli_options.h"
+#include "command.h"
+#include "device_options.h"
+#include "exit_codes.h"
+#include "machine.h"
+#include "plan_svg.h"
+#include "report.h"
+#include "text_file.h"
+#include "threads.h"
+#include "vdb_nns/error.h"
+#include "vdb_nns/point_file.h"
+#include "vdb_nns/search.h"
+
+#include <algorithm>
+#include <cstdio>
+#include <filesystem>
+#include <limits>
+#include <memory>
+
+namespace vdb_nns::cli {
+namespace {
+
+struct PlanFlags {
+    CommonFlags common;
+    InputFlags input;
+    EngineFlags engine;
+    DeviceFlags device;
+    std::string encoding = "mask", nonfinite = "skip", svg;
+};
+
+void addFlags(CLI::App& app, PlanFlags& flags)
+{
+    app.add_option("IN", flags.input.path, "point file: .vdb .npy .ply .xyz")->required()->check(notEmpty());
+    addInputFlags(app, flags.input, true);
+    addDeviceFlags(app, flags.device);
+    addEngineFlags(app, flags.engine);
+    app.add_option("--encoding", flags.encoding, "how lists would be held: index or mask")
+        ->type_name("NAME")
+        ->check(CLI::IsMember({"index", "mask"}))
+        ->capture_default_str();
+    app.add_option("--nonfinite", flags.nonfinite, "what to do with NaN and infinite positions: skip or fail")
+        ->type_name("HOW")
+        ->check(CLI::IsMember({"skip", "fail"}))
+        ->capture_default_str();
+    app.add_option("--svg", flags.svg, "draw the blocks: a projection coloured by who would run them")
+        ->type_name("FILE")
+        ->check(notEmpty());
+    addCommonFlags(app, flags.common);
+}
+
+// Everything that can be wrong without reading a byte.
+SearchOptions checkFlags(const PlanFlags& flags)
+{
+    if (!flags.input.radius.empty()) parsePositive(flags.input.radius, "--radius");
+    SearchOptions options = searchOptions(flags.engine, nullptr);
+    options.encoding = flags.encoding == "index" ? Encoding::kIndex : Encoding::kMask;
+    if (!flags.svg.empty()) checkNotInput(flags.svg, {flags.input.path});
+    std::vector<std::string> outputs;
+    if (!flags.svg.empty()) outputs.push_back(flags.svg);
+    checkOutputs(outputs, {flags.input.path}, flags.common);
+    return options;
+}
+
+void checkFinite(const PlanFlags& flags, const PointFileInfo& info)
+{
+    if (flags.nonfinite != "fail" || info.nonfinite == 0) return;
+    throw CheckFailed(std::to_string(info.nonfinite) + " of " + std::to_string(info.points) +
+                      " points have a NaN or infinite coordinate; --nonfinite skip leaves them out");
+}
+
+BlockBytes bytesAtOnce(const SparseGrid& grid, const WorkEstimate& estimate, const MemoryModel& model)
+{
+    WorkloadNode everything;
+    everything.endLeaf = static_cast<std::uint32_t>(grid.leafCount());
+    everything.occupiedCells = grid.cellCount();
+    everything.work = estimate.total;
+    return blockBytes(everything, model);
+}
+
+std::uint64_t levelCount(const WorkloadTree& tree)
+{
+    std::uint64_t levels = 0; // bit k: there are nodes of 2^k cells
+    for (const WorkloadNode& node : tree.nodes) levels |= std::uint64_t(1) << node.log2Cells;
+    return static_cast<std::uint64_t>(__builtin_popcountll(levels));
+}
+
+void findBounds(const SparseGrid& grid, PlanReport& plan)
+{
+    constexpr std::int32_t kLeafCells = 8;
+    for (std::uint64_t l = 0; l < grid.leafCount(); ++l) {
+        const Vec3i origin = grid.leaf(l).origin;
+        for (std::size_t k = 0; k < 3; ++k) {
+            plan.lowCell[k] = l == 0 ? origin[k] : std::min(plan.lowCell[k], origin[k]);
+            plan.endCell[k] =
+                l == 0 ? origin[k] + kLeafCells : std::max(plan.endCell[k], origin[k] + kLeafCells);
+        }
+    }
+}
+
+// Estimate, tree and schedule.
+PlanReport makePlan(const SparseGrid& grid, DeviceRequest request, Encoding encoding,
+                    ProgressPrinter& progress, SecondsReport& seconds)
+{
+    progress.begin("estimate", 0.8, 0.9);
+    const Stopwatch estimateWatch;
+    request.estimate.progress = &progress;
+    const WorkEstimate estimate = estimateWork(grid, request.estimate);
+    seconds.estimate = estimateWatch.seconds();
+
+    progress.begin("plan", 0.9, 1);
+    const Stopwatch planWatch;
+    PlanReport plan;
+    WorkloadTreeOptions treeOptions;
+    treeOptions.model = memoryModel(request, encoding, estimate);
+    plan.everything = bytesAtOnce(grid, estimate, treeOptions.model);
+    treeOptions.nodeBytes =
+        nodeBytesFor(grid, estimate, treeOptions.model, request.devices, request.schedule);
+    treeOptions.blockLog2Cells = request.devices.empty() ? 0 : request.schedule.blockLog2Cells;
+    treeOptions.progress = &progress;
+    const WorkloadTree tree = buildWorkloadTree(grid, estimate, treeOptions);
+    plan.schedule = makeSchedule(grid, tree, request.devices, request.schedule);
+    seconds.plan = planWatch.seconds();
+
+    plan.devices = std::move(request.devices);
+    plan.estimator = estimate.estimator;
+    plan.total = estimate.total;
+    plan.correction = estimate.correction;
+    plan.countedQueries = estimate.countedQueries;
+    plan.treeNodes = tree.nodes.size();
+    plan.treeLevels = levelCount(tree);
+    findBounds(grid, plan);
+    return plan;
+}
+
+void fillReport(const SparseGrid& grid, const ParticleView& view, const SearchOptions& options,
+                SearchReport& report)
+{
+    report.points = view.size();
+    report.nonfinite = grid.nonfiniteCount();
+    report.cellSize = grid.cellSize();
+    report.reach = grid.reach();
+    report.leaves = grid.leafCount();
+    report.cells = grid.cellCount();
+    report.gridBytes = grid.bytes();
+    report.device.name = cpuName();
+    if (options.hostMemoryBytes > 0) report.device.budgetBytes = options.hostMemoryBytes;
+    report.encoding = options.encoding;
+    report.simd = simdLevelName(bestSimdLevel());
+    report.candidateTests = report.plan->total.candidateTests;
+}
+
+void deliver(const PlanFlags& flags, const SparseGrid& grid, SearchReport& report)
+{
+    if (!flags.svg.empty()) {
+        const Stopwatch watch;
+        const std::string scene = std::filesystem::path(flags.input.path).filename().string();
+        const std::string svg = planSvg(grid, *report.plan, scene);
+        writeWholeFile(flags.svg, svg.data(), svg.size(), flags.common.force);
+        report.written.push_back(flags.svg);
+        report.seconds.write = watch.seconds();
+    }
+}
+
+int planFile(const PlanFlags& flags, SearchOptions options, const DeviceRequest& request, int threads,
+             Session& session)
+{
+    const Stopwatch total;
+    ProgressPrinter progress(progressMode(flags.common));
+    options.progress = &progress;
+    SearchReport report;
+    report.command = "plan";
+    report.path = flags.input.path;
+    report.device.threads = threads;
+
+    progress.begin("read", 0, 0.4);
+    const Stopwatch readWatch;
+    const PointFile file = PointFile::read(flags.input.path, flags.input.grid, &progress);
+    report.seconds.read = readWatch.seconds();
+    session.path = flags.input.path;
+    const bool needsInfo =
+        !flags.common.json.empty() || flags.input.radius.empty() || flags.nonfinite == "fail";
+    if (needsInfo) report.info = file.info();
+    if (needsInfo) checkFinite(flags, *report.info);
+    session.grid = needsInfo ? report.info->grid : flags.input.grid;
+    const std::optional<double> suggested = needsInfo ? report.info->suggestedRadius : std::nullopt;
+    report.radius = chooseRadius(flags.input.radius, suggested, flags.input.path, flags.common.quiet);
+    if (extensionOf(flags.input.path) == ".vdb") {
+        report.radiusVoxels = radiusInVoxels(file.view().linear(), report.radius);
+    }
+
+    progress.begin("grid", 0.4, 0.8);
+    const Stopwatch gridWatch;
+    SearchEngine engine;
+    const SparseGrid grid = engine.buildGrid(file.view(), report.radius, options);
+    report.seconds.grid = report.seconds.firstGrid = gridWatch.seconds();
+    report.plan = makePlan(grid, request, options.encoding, progress, report.seconds);
+    fillReport(grid, file.view(), options, report);
+    throwIfStopped();
+    deliver(flags, grid, report);
+    progress.finish();
+    report.peakBytes = peakMemoryBytes();
+    report.seconds.total = total.seconds();
+
+    if (flags.common.verbose) {
+        std::fprintf(stderr,
+                     "vdb_nns: %d threads, %s; the CPU is taken to make %.3g tests a second, index lists "
+                     "get %.1f %% and %.2g neighbors a particle beyond their estimate\n",
+                     threads, report.simd.c_str(), request.schedule.cpuTestsPerSecond,
+                     100 * report.plan->schedule.model.margin, report.plan->schedule.model.auxNeighbors);
+    }
+    if (!flags.common.json.empty())
+        deliverJson(flags.common.json, searchReportJson(report), flags.common.force);
+    if (!flags.common.quiet && !jsonToStdout(flags.common)) writeStdout(planReportText(report));
+    return kDone;
+}
+
+int runPlanCommand(const PlanFlags& flags, Session& session)
+{
+    const int wanted = threadCount(flags.common);
+    const SearchOptions options = checkFlags(flags);
+    ThreadLimit threads(wanted);
+    const DeviceRequest request = deviceRequest(flags.device, threads.count());
+    return threads.run([&] { return planFile(flags, options, request, threads.count(), session); });
+}
+
+} // namespace
+
+Command addPlanCommand(CLI::App& app)
+{
+    CLI::App* command =
+        app.add_subcommand("plan", "say how a search would be cut into blocks and who would run them");
+    const auto flags = std::make_shared<PlanFlags>();
+    addFlags(*command, *flags);
+    return {command, [flags](Session& session) { return runPlanCommand(*flags, session); }};
+}
+
+} // namespace vdb_nns::cli
