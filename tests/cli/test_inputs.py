@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from cli_case import CliCase
+from cli_case import CliCase, run
 
 
 class BadFiles(CliCase):
@@ -139,8 +139,25 @@ class Extremes(CliCase):
     def test_lists_that_cannot_fit(self):
         path = self.npy("dense.npy", np.random.default_rng(1).random((30000, 3)))
         done = self.fails(4, "search", path, "-r", "5", "--host-memory", "200MB", "-o", self.path("x.npz"),
-                          says=["dense.npy", "--host-memory"])
+                          "--encoding", "index", says=["dense.npy", "--host-memory"])
         self.check_numbers(done.err, 200 * 10 ** 6, 30000 * 29999 * 4)
+        # Masks take a bit where indices take 4 bytes; they do not fit either.
+        done = self.fails(4, "search", path, "-r", "5", "--host-memory", "50MB", "-o", self.path("x.npz"), "-q",
+                          says=["dense.npy", "mask lists", "--host-memory"])
+        self.check_numbers(done.err, 50 * 10 ** 6, 30000 * 30000 / 8 + 30000 * 4)
+        self.assertFalse(os.path.exists(self.path("x.npz")))
+
+    def test_index_lists_that_do_not_fit_are_held_as_masks(self):
+        path = self.scene("block", 50000)
+        lists, small = self.path("lists.npz"), self.path("small.npz")
+        self.assertEqual(self.report("search", path, "-o", lists)["plan"]["encoding"], "index")
+        report = self.report("search", path, "-o", small, "--host-memory", "6MB")
+        self.assertEqual(report["plan"]["encoding"], "mask")
+        with open(lists, "rb") as one, open(small, "rb") as other:
+            self.assertEqual(one.read(), other.read())
+        done = run("search", path, "-o", small, "-f", "--host-memory", "6MB")
+        self.assertEqual(done.code, 0)
+        self.assertIn("held as masks", done.err)
 
     def test_grid_that_cannot_fit(self):
         self.fails(4, "search", self.scene(), "--host-memory", "10K", says="--host-memory")

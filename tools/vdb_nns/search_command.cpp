@@ -55,7 +55,8 @@ void addFlags(CLI::App& app, SearchFlags& flags)
         ->capture_default_str();
     addEngineFlags(app, flags.engine);
     app.add_option("--encoding", flags.encoding,
-                   "how lists are held: index, mask or none; default: what the outputs need")
+                   "how lists are held: index, mask or none; default: what the outputs need, "
+                   "mask where index lists do not fit")
         ->type_name("NAME")
         ->check(CLI::IsMember({"index", "mask", "none"}));
     app.add_option("--lists", flags.lists, "values of an .npz: connectivity (ones) or distance")
@@ -177,9 +178,27 @@ void checkFile(const SearchFlags& flags, const SearchPlan& plan, const PointFile
     }
 }
 
+// Lists in the encoding of the plan. Where nobody asked for index lists and they do not fit, masks serve: the output is the
+// same, and they take a quarter of the memory or less.
+NeighborLists searchGrid(SearchEngine& engine, const SparseGrid& grid, const SearchFlags& flags,
+                         SearchPlan& plan)
+{
+    try {
+        return engine.search(grid, plan.options);
+    } catch (const CapacityError& error) {
+        if (!flags.encoding.empty() || plan.options.encoding != Encoding::kIndex) throw;
+        if (!flags.common.quiet) {
+            std::fprintf(stderr, "vdb_nns: %s; they are held as masks instead\n", error.what());
+        }
+    }
+    plan.options.encoding = Encoding::kMask;
+    return engine.search(grid, plan.options);
+}
+
 // Grid and lists, `repeat` times with buffers kept; the last lists are returned.
-NeighborLists runSearch(SearchEngine& engine, const ParticleView& view, double radius, const SearchPlan& plan,
-                        ProgressPrinter& progress, SecondsReport& seconds)
+NeighborLists runSearch(SearchEngine& engine, const ParticleView& view, double radius,
+                        const SearchFlags& flags, SearchPlan& plan, ProgressPrinter& progress,
+                        SecondsReport& seconds)
 {
     constexpr double kReadShare = 0.2, kSearchShare = 0.6; // rough shares of a run, for progress only
     std::vector<double> gridSeconds, searchSeconds;
@@ -194,7 +213,7 @@ NeighborLists runSearch(SearchEngine& engine, const ParticleView& view, double r
         gridSeconds.push_back(gridWatch.seconds());
         progress.begin("search", from + step / 3, from + step);
         const Stopwatch searchWatch;
-        lists = engine.search(grid, plan.options);
+        lists = searchGrid(engine, grid, flags, plan);
         searchSeconds.push_back(searchWatch.seconds());
     }
     seconds.firstGrid = gridSeconds.front();
@@ -298,7 +317,8 @@ int searchFile(const SearchFlags& flags, SearchPlan plan, int threads, Session& 
     }
 
     SearchEngine engine;
-    const NeighborLists lists = runSearch(engine, file.view(), report.radius, plan, progress, report.seconds);
+    const NeighborLists lists =
+        runSearch(engine, file.view(), report.radius, flags, plan, progress, report.seconds);
     fillReport(engine, plan.options, lists, report);
     makeChecksum(engine, flags, plan.options, lists, report);
     writeOutputs(flags, file, lists, progress, report);
