@@ -66,3 +66,30 @@ class Bench(CliCase):
             self.fails(2, "bench", *args)
         self.fails(3, "bench", self.path("missing.vdb"), says="missing.vdb")
         self.assertTrue(os.path.getsize(path) > 1000)
+
+    def test_estimators(self):
+        report = self.report("bench", "--scene", "block", "-n", "50000", "--method", "ours-count", "--repeat", "1",
+                             "--sample", "0", "--estimator", "all")
+        by_name = {entry["estimator"]: entry for entry in report["estimators"]}
+        self.assertEqual(list(by_name),
+                         ["paper", "uncorrected", "expected", "sampled", "counted", "fixed", "mask"])
+        for name, entry in by_name.items():
+            self.assertEqual(entry["scene"], "block")
+            self.assertGreaterEqual(entry["seconds"], 0)
+            self.assertLessEqual(abs(entry["bias"]), 0.15, name)
+            self.assertLessEqual(entry["p50"], entry["p99"])
+            self.assertLessEqual(entry["p99"], entry["max"])
+        for name in ("counted", "mask"):
+            for key in ("bias", "rmse", "p99", "overflow_rate"):
+                self.assertEqual(by_name[name][key], 0)
+            self.assertEqual(by_name[name]["reserved_over_used"], 1)
+        self.assertLess(abs(by_name["expected"]["bias"]), abs(by_name["uncorrected"]["bias"]))
+        self.assertEqual(by_name["counted"]["counted_queries"], 50000)
+
+    def test_estimators_of_a_list(self):
+        args = ("bench", "--scene", "block", "-n", "2000", "--method", "ours-count", "--repeat", "1", "--sample", "0")
+        self.assertEqual(self.report(*args)["estimators"], [])
+        names = [entry["estimator"] for entry in self.report(*args, "--estimator", "fixed,mask")["estimators"]]
+        self.assertEqual(names, ["fixed", "mask"])
+        self.fails(2, *args, "--estimator", "guess", says=["--estimator", "guess", "expected"])
+        self.fails(2, *args, "--estimator", "")
