@@ -1,0 +1,52 @@
+// Grids and workload trees for the tests of steps 3 to 5.
+#pragma once
+
+#include "agreement/point_views.h"
+#include "vdb_nns/workload_tree.h"
+
+#include <gtest/gtest.h>
+
+#include <string>
+
+namespace vdb_nns::testing {
+
+inline SparseGrid gridOf(const ParticleView& view, double radius, int reach)
+{
+    SearchOptions options;
+    options.reach = reach;
+    return SearchEngine().buildGrid(view, radius, options);
+}
+
+// Expected pairs are counts that a double holds exactly, so that sums can be compared.
+inline WorkEstimate fixedEstimate(const SparseGrid& grid, double neighbors = 32)
+{
+    EstimateOptions options;
+    options.estimator = Estimator::kFixed;
+    options.fixedNeighbors = neighbors;
+    return estimateWork(grid, options);
+}
+
+inline WorkloadTree treeOf(const SparseGrid& grid, const WorkEstimate& estimate, std::uint64_t nodeBytes,
+                           Encoding encoding = Encoding::kMask, int blockLog2Cells = 0)
+{
+    WorkloadTreeOptions options;
+    options.model.encoding = encoding;
+    options.nodeBytes = nodeBytes;
+    options.blockLog2Cells = blockLog2Cells;
+    return buildWorkloadTree(grid, estimate, options);
+}
+
+// check(set, grid) for every distribution and reach.
+template <typename Check>
+void forEachGrid(const Check& check)
+{
+    for (const PointSet& set : arraySets(Precision::kDouble, 6)) {
+        const SetView input(set, Form::kDoubles);
+        for (int reach = 1; reach <= 3; ++reach) {
+            SCOPED_TRACE(set.name + ", reach " + std::to_string(reach));
+            check(set, gridOf(input.view(), set.radius, reach));
+        }
+    }
+}
+
+} // namespace vdb_nns::testing
