@@ -133,18 +133,9 @@ PlanReport makePlan(const SparseGrid& grid, DeviceRequest request, Encoding enco
     return plan;
 }
 
-void fillReport(const SparseGrid& grid, const ParticleView& view, const SearchOptions& options,
-                SearchReport& report)
+void fillReport(const SparseGrid& grid, const SearchOptions& options, SearchReport& report)
 {
-    report.points = view.size();
-    report.nonfinite = grid.nonfiniteCount();
-    report.cellSize = grid.cellSize();
-    report.reach = grid.reach();
-    report.leaves = grid.leafCount();
-    report.cells = grid.cellCount();
-    report.gridBytes = grid.bytes();
-    report.device.name = cpuName();
-    if (options.hostMemoryBytes > 0) report.device.budgetBytes = options.hostMemoryBytes;
+    fillGridReport(grid, options, report);
     report.encoding = options.encoding;
     report.simd = simdLevelName(bestSimdLevel());
     report.candidateTests = report.plan->total.candidateTests;
@@ -195,7 +186,7 @@ int planFile(const PlanFlags& flags, SearchOptions options, const DeviceRequest&
     const SparseGrid grid = engine.buildGrid(file.view(), report.radius, options);
     report.seconds.grid = report.seconds.firstGrid = gridWatch.seconds();
     report.plan = makePlan(grid, request, options.encoding, progress, report.seconds);
-    fillReport(grid, file.view(), options, report);
+    fillReport(grid, options, report);
     throwIfStopped();
     deliver(flags, grid, report);
     progress.finish();

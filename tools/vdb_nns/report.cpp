@@ -1,5 +1,6 @@
 #include "report.h"
 
+#include "machine.h"
 #include "text_file.h"
 #include "vdb_nns/version.h"
 
@@ -296,6 +297,19 @@ Vec3d radiusInVoxels(const Matrix3& linear, double radius)
     const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> matrix(linear[0].data());
     const Eigen::Matrix3d inverse = matrix.inverse();
     return {radius * inverse.row(0).norm(), radius * inverse.row(1).norm(), radius * inverse.row(2).norm()};
+}
+
+void fillGridReport(const SparseGrid& grid, const SearchOptions& options, SearchReport& report)
+{
+    report.points = grid.view().size();
+    report.nonfinite = grid.nonfiniteCount();
+    report.cellSize = grid.cellSize();
+    report.reach = grid.reach();
+    report.leaves = grid.leafCount();
+    report.cells = grid.cellCount();
+    report.gridBytes = grid.bytes();
+    report.device.name = cpuName();
+    if (options.hostMemoryBytes > 0) report.device.budgetBytes = options.hostMemoryBytes;
 }
 
 std::string searchReportJson(const SearchReport& report)

@@ -62,6 +62,9 @@ struct SearchReport {
     std::vector<std::string> written;
 };
 
+/// What a report says of the grid and of the machine that made it.
+void fillGridReport(const SparseGrid& grid, const SearchOptions& options, SearchReport& report);
+
 /// The report of design 3.8, keys in its order; null where a step did not run.
 std::string searchReportJson(const SearchReport& report);
 /// Aligned lines for people.

@@ -275,16 +275,8 @@ void fillReport(const SearchEngine& engine, const SearchOptions& options, const 
                 SearchReport& report)
 {
     const SparseGrid& grid = lists.grid();
-    report.points = lists.size();
-    report.nonfinite = grid.nonfiniteCount();
-    report.cellSize = grid.cellSize();
-    report.reach = grid.reach();
-    report.leaves = grid.leafCount();
-    report.cells = grid.cellCount();
-    report.gridBytes = grid.bytes();
+    fillGridReport(grid, options, report);
     report.listBytes = lists.bytes();
-    report.device.name = cpuName();
-    if (options.hostMemoryBytes > 0) report.device.budgetBytes = options.hostMemoryBytes;
     report.encoding = lists.encoding();
     report.candidateTests = countCandidateTests(grid);
     report.doublePairs = engine.statistics().doublePairs;
