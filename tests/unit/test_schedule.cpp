@@ -32,16 +32,8 @@ DeviceLimits deviceOf(std::uint64_t memoryBytes, int slots = 3)
 }
 
 // A scene with its grid and estimate.
-struct Problem {
-    Problem(const char* name, std::uint64_t count)
-    {
-        SceneOptions options;
-        options.name = name;
-        options.count = count;
-        scene = makeScene(options);
-        grid = gridOf(ParticleView::fromArray(scene.positions.data(), count), scene.suggestedRadius, 1);
-        estimate = estimateWork(grid);
-    }
+struct Problem : SceneGrid {
+    Problem(const char* name, std::uint64_t count) : SceneGrid(name, count), estimate(estimateWork(grid)) {}
 
     WorkloadTree tree(Encoding encoding, std::uint64_t nodeBytes, int blockLog2Cells = 0) const
     {
@@ -63,8 +55,6 @@ struct Problem {
         return makeSchedule(grid, tree(encoding, budget, options.blockLog2Cells), devices, options);
     }
 
-    Scene scene;
-    SparseGrid grid;
     WorkEstimate estimate;
 };
 

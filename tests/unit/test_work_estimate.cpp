@@ -1,6 +1,5 @@
 // The estimate: exact parts against brute force over cells and against the oracle, the expectation against a slow sum in
 // double, corrections against exact counts; and what it is corrected by: countQueries() and the search of chosen cells.
-#include "agreement/point_views.h"
 #include "estimate/overlap_table.h"
 #include "execute/count_queries.h"
 #include "execute/exact_test.h"
@@ -12,6 +11,7 @@
 #include "vdb_nns/error.h"
 #include "vdb_nns/scene.h"
 #include "vdb_nns/work_estimate.h"
+#include "workload_cases.h"
 
 #include <gtest/gtest.h>
 
@@ -31,13 +31,6 @@ namespace {
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 constexpr double kInf = std::numeric_limits<double>::infinity();
 
-SparseGrid gridOf(const ParticleView& view, double radius, int reach)
-{
-    SearchOptions options;
-    options.reach = reach;
-    return SearchEngine().buildGrid(view, radius, options);
-}
-
 WorkEstimate estimateBy(const SparseGrid& grid, Estimator estimator, bool correctCrowding = true)
 {
     EstimateOptions options;
@@ -45,34 +38,6 @@ WorkEstimate estimateBy(const SparseGrid& grid, Estimator estimator, bool correc
     options.correctCrowding = correctCrowding;
     return estimateWork(grid, options);
 }
-
-// check(set, grid) for every distribution and reach.
-template <typename Check>
-void forEachGrid(const Check& check)
-{
-    for (const PointSet& set : arraySets(Precision::kDouble, 3)) {
-        const SetView input(set, Form::kDoubles);
-        for (int reach = 1; reach <= 3; ++reach) {
-            SCOPED_TRACE(set.name + ", reach " + std::to_string(reach));
-            check(set, gridOf(input.view(), set.radius, reach));
-        }
-    }
-}
-
-// The particles of a scene in a grid of reach 1.
-struct SceneGrid {
-    SceneGrid(const char* name, std::uint64_t count)
-    {
-        SceneOptions options;
-        options.name = name;
-        options.count = count;
-        scene = makeScene(options);
-        grid = gridOf(ParticleView::fromArray(scene.positions.data(), count), scene.suggestedRadius, 1);
-    }
-
-    Scene scene;
-    SparseGrid grid;
-};
 
 // What each leaf asks for, from the cell of every particle and nothing else of the engine; pairs as the model expects.
 std::vector<Work> slowWork(const SparseGrid& grid, const OverlapTable& overlap)

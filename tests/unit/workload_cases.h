@@ -2,6 +2,7 @@
 #pragma once
 
 #include "agreement/point_views.h"
+#include "vdb_nns/scene.h"
 #include "vdb_nns/workload_tree.h"
 
 #include <gtest/gtest.h>
@@ -35,6 +36,21 @@ inline WorkloadTree treeOf(const SparseGrid& grid, const WorkEstimate& estimate,
     options.blockLog2Cells = blockLog2Cells;
     return buildWorkloadTree(grid, estimate, options);
 }
+
+// The particles of a scene in a grid of reach 1.
+struct SceneGrid {
+    SceneGrid(const char* name, std::uint64_t count)
+    {
+        SceneOptions options;
+        options.name = name;
+        options.count = count;
+        scene = makeScene(options);
+        grid = gridOf(ParticleView::fromArray(scene.positions.data(), count), scene.suggestedRadius, 1);
+    }
+
+    Scene scene;
+    SparseGrid grid;
+};
 
 // check(set, grid) for every distribution and reach.
 template <typename Check>
