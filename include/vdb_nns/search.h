@@ -17,6 +17,9 @@ namespace vdb_nns {
 using NeighborVisitor = std::function<void(std::uint32_t query, Span<const std::uint32_t> neighbors,
                                            Span<const double> distances)>;
 
+/// The same without distances, which cost more to compute than neighbors to find.
+using RowVisitor = NeighborLists::RowVisitor;
+
 /// What the last run did: for reports.
 struct SearchStatistics {
     double gridSeconds = 0, searchSeconds = 0;
@@ -56,6 +59,10 @@ public:
     /// Hands every query its neighbors without storing lists.
     /// @throws InvalidInput, Cancelled, and what `visitor` throws
     void visit(const SparseGrid& grid, const NeighborVisitor& visitor, const SearchOptions& options = {});
+
+    /// The same without distances.
+    /// @throws as visit()
+    void visitRows(const SparseGrid& grid, const RowVisitor& visitor, const SearchOptions& options = {});
 
     /// buildGrid() and search().
     NeighborLists findNeighbors(const ParticleView& view, double radius, const SearchOptions& options = {});

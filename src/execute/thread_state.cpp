@@ -50,11 +50,13 @@ std::uint64_t ChunkPool::freeBytes() const
     return bytes;
 }
 
-ThreadState::ThreadState() : halo{}, sink{}
+ThreadState::ThreadState() : halo{}, sink{}, taken{}
 {
     halo.owner = this;
     halo.reserve = reserveHalo;
-    sink.owner = this;
+    sink.owner = taken.owner = this;
+    sink.grow = growRows;
+    taken.grow = growTaken;
     begin();
 }
 
@@ -66,7 +68,6 @@ void ThreadState::begin()
     mExactMemory = {};
     sink.out = sink.end = nullptr;
     sink.tailSize = 0;
-    sink.grow = growRows;
 }
 
 bool ThreadState::judgePair(void* state, std::uint32_t query, std::uint32_t candidate)
@@ -111,45 +112,37 @@ void ThreadState::growRows(RowSink& sink, std::size_t entries)
     sink.end = sink.out + bytes / sizeof(std::uint32_t);
 }
 
-void ThreadState::beginVisit(const SparseGridData& grid, const NeighborVisitor& visitor,
-                             const SearchTask& task)
+void ThreadState::beginTaking(RowTaker& taker, const SearchTask& task)
 {
-    mVisitGrid = &grid;
-    mVisitor = &visitor;
+    mTaker = &taker;
     const std::size_t queries = task.endSlot - task.firstSlot;
-    mVisitBegin.resize(queries);
-    mVisitCount.resize(queries);
-    sink.slotBase = sink.nextSlot = mVisited = task.firstSlot;
-    sink.rowBegin = mVisitBegin.data();
-    sink.rowCount = mVisitCount.data();
-    sink.grow = growVisit;
+    mTakenBegin.resize(queries);
+    mTakenCount.assign(queries, 0);
+    taken.slotBase = taken.nextSlot = mTaken = task.firstSlot;
+    taken.rowBegin = mTakenBegin.data();
+    taken.rowCount = mTakenCount.data();
 }
 
-void ThreadState::growVisit(RowSink& sink, std::size_t entries)
+void ThreadState::growTaken(RowSink& sink, std::size_t entries)
 {
-    constexpr std::size_t kVisitEntries = 65536; // 256 KB: stays in the second-level cache
+    constexpr std::size_t kTakenEntries = 65536; // 256 KB: stays in the second-level cache
     auto& self = *static_cast<ThreadState*>(sink.owner);
-    self.flushVisit();
-    if (self.mVisitRows.bytes() < entries * sizeof(std::uint32_t)) {
-        self.mVisitRows = PageBlock();
-        self.mVisitRows = PageBlock(std::max(entries, kVisitEntries) * sizeof(std::uint32_t));
+    self.flushRows();
+    if (self.mTakenRows.bytes() < entries * sizeof(std::uint32_t)) {
+        self.mTakenRows = PageBlock();
+        self.mTakenRows = PageBlock(std::max(entries, kTakenEntries) * sizeof(std::uint32_t));
     }
-    sink.out = static_cast<std::uint32_t*>(self.mVisitRows.data());
-    sink.end = sink.out + self.mVisitRows.bytes() / sizeof(std::uint32_t);
+    sink.out = static_cast<std::uint32_t*>(self.mTakenRows.data());
+    sink.end = sink.out + self.mTakenRows.bytes() / sizeof(std::uint32_t);
 }
 
-void ThreadState::flushVisit()
+void ThreadState::flushRows()
 {
-    const ParticleView& view = mVisitGrid->view;
-    for (; mVisited < sink.nextSlot; ++mVisited) {
-        const std::uint32_t row = mVisited - sink.slotBase, query = mVisitGrid->number[mVisited];
-        const std::uint32_t count = mVisitCount[row];
-        const std::uint32_t* const neighbors = mVisitBegin[row];
-        mDistances.resize(std::max<std::size_t>(mDistances.size(), count));
-        for (std::uint32_t k = 0; k < count; ++k) mDistances[k] = view.distance(query, neighbors[k]);
-        (*mVisitor)(query, {neighbors, count}, {mDistances.data(), count});
+    for (; mTaken < taken.nextSlot; ++mTaken) {
+        const std::uint32_t row = mTaken - taken.slotBase;
+        mTaker->take(mTaken, mTakenBegin[row], mTakenCount[row]);
     }
-    sink.out = static_cast<std::uint32_t*>(mVisitRows.data());
+    taken.out = static_cast<std::uint32_t*>(mTakenRows.data());
 }
 
 } // namespace vdb_nns

@@ -39,6 +39,13 @@ private:
     std::uint64_t mAllowedBytes = 0, mTakenBytes = 0;
 };
 
+// Takes rows of numbers as they are made, in the order of slots. The numbers are valid during the call.
+class RowTaker {
+public:
+    virtual ~RowTaker() = default;
+    virtual void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) = 0;
+};
+
 struct ThreadState {
     ThreadState();
     ThreadState(const ThreadState&) = delete;
@@ -50,12 +57,14 @@ struct ThreadState {
     void finishRows();
     BandJudge judge();
 
-    // Rows of the coming task go to `visitor` instead of into lists.
-    void beginVisit(const SparseGridData& grid, const NeighborVisitor& visitor, const SearchTask& task);
-    void flushVisit();
+    // Rows of the coming task, by Kernels::visit, go to `taker` instead of into lists. Queries outside of the task's cells
+    // have empty rows.
+    void beginTaking(RowTaker& taker, const SearchTask& task);
+    void flushRows();
 
     HaloScratch halo;
-    RowSink sink;
+    RowSink sink;  // rows into lists
+    RowSink taken; // rows that are handed to a RowTaker
     TaskStatistics statistics;
     std::uint64_t exactPairs = 0;
     std::uint64_t maskBytes = 0;
@@ -63,22 +72,21 @@ struct ThreadState {
     std::vector<MaskRun> maskRuns;
     const ExactTest* exact = nullptr;
     ChunkPool* pool = nullptr;
+    std::vector<double> distances;
 
 private:
     static void reserveHalo(HaloScratch& scratch, std::size_t particles);
     static void growRows(RowSink& sink, std::size_t entries);
-    static void growVisit(RowSink& sink, std::size_t entries);
+    static void growTaken(RowSink& sink, std::size_t entries);
     static bool judgePair(void* state, std::uint32_t query, std::uint32_t candidate);
 
     PageBlock mHaloMemory;
-    PageBlock mVisitRows; // numbers of neighbors
-    std::vector<std::uint32_t*> mVisitBegin;
-    std::vector<std::uint32_t> mVisitCount;
-    std::vector<double> mDistances;
+    PageBlock mTakenRows; // numbers of neighbors
+    std::vector<std::uint32_t*> mTakenBegin;
+    std::vector<std::uint32_t> mTakenCount;
+    RowTaker* mTaker = nullptr;
+    std::uint32_t mTaken = 0; // slots before it were handed out
     ExactTestMemory mExactMemory;
-    const SparseGridData* mVisitGrid = nullptr;
-    const NeighborVisitor* mVisitor = nullptr;
-    std::uint32_t mVisited = 0; // slots before it were handed out
 };
 
 using ThreadStates = tbb::enumerable_thread_specific<ThreadState>;

@@ -1,0 +1,236 @@
+// See engine_state.h.
+#include "execute/engine_state.h"
+
+#include "lists/cell_candidates.h"
+#include "vdb_nns/error.h"
+
+#include <tbb/parallel_reduce.h>
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <atomic>
+#include <limits>
+#include <string>
+
+namespace vdb_nns {
+
+namespace {
+
+std::string gigabytes(std::uint64_t bytes)
+{
+    char text[64];
+    std::snprintf(text, sizeof text, "%llu bytes (%.3g GB)", static_cast<unsigned long long>(bytes),
+                  static_cast<double>(bytes) * 1e-9);
+    return text;
+}
+
+} // namespace
+
+std::vector<Piece> makePieces(const SparseGridData& grid)
+{
+    const auto threads = static_cast<std::size_t>(tbb::this_task_arena::max_concurrency());
+    const std::size_t most = std::clamp<std::size_t>(grid.particleCount() / (16 * threads), 1024, 16384);
+    std::vector<Piece> pieces;
+    pieces.reserve(grid.leafCount());
+    for (std::uint32_t l = 0; l < grid.leafCount(); ++l) {
+        const std::uint64_t first = grid.leaves[l].firstSlot, count = grid.leaves[l + 1].firstSlot - first;
+        const std::uint64_t parts = (count + most - 1) / most;
+        for (std::uint64_t p = 0; p < parts; ++p) {
+            pieces.push_back({l, static_cast<std::uint32_t>(first + count * p / parts),
+                              static_cast<std::uint32_t>(first + count * (p + 1) / parts)});
+        }
+    }
+    return pieces;
+}
+
+CapacityError listsDoNotFit(Encoding encoding, bool counted, std::uint64_t needed, std::uint64_t allowed)
+{
+    return CapacityError(std::string(encoding == Encoding::kIndex ? "index lists" : "mask lists") + " need " +
+                             (counted ? "" : "at least ") + gigabytes(needed) + ", allowed are " +
+                             gigabytes(allowed) + ": " +
+                             (encoding == Encoding::kIndex ? "use encoding mask, " : "use ") +
+                             "counts alone (encoding none), a smaller radius, or more host memory",
+                         needed, allowed);
+}
+
+SearchRun::SearchRun(const SparseGridData& g, const SearchOptions& options)
+    : grid(g),
+      context{blockViewOf(g), makeFilterBounds(g.radiusCells, g.reach, g.coordinateError)},
+      exact(g.view, g.radius),
+      kernels(kernelsFor(options.simd)),
+      cancel(options.progress, "search"),
+      pieces(makePieces(g))
+{
+}
+
+SearchTaskFunction SearchRun::rowKernel(Encoding encoding) const
+{
+    return encoding == Encoding::kIndex  ? kernels.index
+           : encoding == Encoding::kMask ? kernels.mask
+                                         : kernels.count;
+}
+
+void EngineState::beginStatistics(const SearchOptions& options)
+{
+    for (ThreadState& state : states) state.begin();
+    statistics.simd = options.simd == SimdLevel::kBest ? bestSimdLevel() : options.simd;
+}
+
+TaskStatistics EngineState::sumStatistics()
+{
+    TaskStatistics sum;
+    statistics.exactPairs = 0;
+    for (const ThreadState& state : states) {
+        sum.pairs += state.statistics.pairs;
+        sum.bandPairs += state.statistics.bandPairs;
+        statistics.exactPairs += state.exactPairs;
+    }
+    statistics.doublePairs = sum.bandPairs;
+    return sum;
+}
+
+void EngineState::runTask(const SearchRun& run, SearchTaskFunction kernel, ThreadState& state,
+                          const SearchTask& task)
+{
+    state.exact = &run.exact;
+    kernel(run.context, task, state.judge(), state.halo, state.sink, state.statistics);
+}
+
+// Throws when the lists surely cannot fit. A few queries tell whether there is any doubt; only then all neighbors are
+// counted, as far as seconds or four times what fits go, so that the error never rests on an estimate.
+void EngineState::checkCapacity(const SearchRun& run, Encoding encoding, std::uint64_t allowed,
+                                std::uint32_t* counts)
+{
+    constexpr std::size_t kProbes = 32;
+    constexpr std::uint64_t kMostBytes = std::numeric_limits<std::uint64_t>::max();
+    constexpr std::uint64_t kCountedBytes =
+        160'000'000'000; // 4e10 pairs: some seconds of counting on two cores
+    const std::size_t particles = run.grid.particleCount();
+    if (particles == 0) return;
+    const auto bytesOf = [&](ThreadState& state, const SearchTask& task) -> std::uint64_t {
+        if (encoding == Encoding::kMask) return maskBytes(run.grid, task);
+        const std::uint64_t before = state.statistics.pairs;
+        state.sink.slotBase = 0;
+        state.sink.rowCount = counts;
+        runTask(run, run.kernels.count, state, task);
+        return (state.statistics.pairs - before) * sizeof(std::uint32_t);
+    };
+    std::vector<Piece> probes;
+    std::size_t p = 0;
+    for (std::size_t k = 0; k < std::min(kProbes, particles); ++k) {
+        const auto slot = static_cast<std::uint32_t>(particles * k / std::min(kProbes, particles));
+        while (run.pieces[p].endSlot <= slot) ++p;
+        probes.push_back({run.pieces[p].leaf, slot, slot + 1});
+    }
+    ThreadState& here = states.local();
+    double expected = 0;
+    for (const Piece& probe : probes) {
+        run.cancel.check();
+        LeafNeighborhood neighborhood;
+        run.grid.topology.neighborhoods({&run.grid.leafOrigins[probe.leaf], 1}, &neighborhood);
+        expected += static_cast<double>(
+            bytesOf(here, {probe.leaf, probe.firstSlot, probe.endSlot, neighborhood.leaf}));
+    }
+    expected *= static_cast<double>(particles) / static_cast<double>(probes.size());
+    here.begin();
+    if (expected < 0.5 * static_cast<double>(allowed)) return;
+    std::atomic<std::uint64_t> total{0};
+    const std::uint64_t enough = std::max(kCountedBytes, std::min(allowed, kMostBytes / 4) * 4);
+    forEachTask(run.grid, run.pieces, states, run.cancel, [&](ThreadState& state, const SearchTask& task) {
+        if (total <= enough) total += bytesOf(state, task);
+    });
+    for (ThreadState& state : states) state.begin();
+    if (total > allowed) throw listsDoNotFit(encoding, total <= enough, total, allowed);
+}
+
+std::shared_ptr<NeighborListsData> EngineState::beginLists(const SparseGrid& sparseGrid, Encoding encoding)
+{
+    std::shared_ptr<NeighborListsData> result = std::make_shared<NeighborListsData>();
+    if (lists && lists.use_count() == 1) {
+        result->slotOf = std::move(lists->slotOf);
+        result->rowCount = std::move(lists->rowCount);
+        result->rowBegin = std::move(lists->rowBegin);
+        result->chunks = std::move(lists->chunks);
+    }
+    lists.reset();
+    result->view = sparseGrid.view();
+    result->grid = sparseGrid;
+    result->encoding = encoding;
+    return result;
+}
+
+std::uint64_t EngineState::allowRows(const SearchRun& run, const SearchOptions& options,
+                                     NeighborListsData& result, ChunkPool& pool)
+{
+    const std::size_t particles = run.grid.particleCount();
+    result.rowCount.resizeDiscarding(particles);
+    if (result.encoding == Encoding::kIndex) result.rowBegin.resizeDiscarding(particles);
+    if (result.encoding == Encoding::kNone) return 0;
+    const std::uint64_t held = run.grid.bytes() + result.rowCount.usedBytes() + result.rowBegin.usedBytes();
+    const std::uint64_t allowed = options.hostMemoryBytes
+                                      ? options.hostMemoryBytes - std::min(held, options.hostMemoryBytes)
+                                      : availableMemoryBytes() + pool.freeBytes();
+    checkCapacity(run, result.encoding, allowed, result.rowCount.data());
+    pool.begin(allowed, particles);
+    return allowed;
+}
+
+void EngineState::makeRows(const SearchRun& run, const SearchTask& task, ThreadState& state, ChunkPool& pool,
+                           NeighborListsData& result)
+{
+    state.pool = &pool;
+    state.sink.slotBase = 0;
+    state.sink.rowBegin = result.rowBegin.data();
+    state.sink.rowCount = result.rowCount.data();
+    runTask(run, run.rowKernel(result.encoding), state, task);
+    if (result.encoding == Encoding::kMask) state.maskRuns.push_back({task.firstSlot, state.sink.taskBegin});
+}
+
+void EngineState::finishLists(const SearchRun& run, ChunkPool& pool, NeighborListsData& result)
+{
+    for (ThreadState& state : states) state.finishRows();
+    result.chunks = pool.release();
+    const std::size_t particles = run.grid.particleCount(), all = result.view.size();
+    const TaskStatistics sum = sumStatistics();
+    result.maskRuns.clear();
+    for (const ThreadState& state : states) {
+        result.maskRuns.insert(result.maskRuns.end(), state.maskRuns.begin(), state.maskRuns.end());
+    }
+    std::sort(result.maskRuns.begin(), result.maskRuns.end(),
+              [](const MaskRun& a, const MaskRun& b) { return a.firstSlot < b.firstSlot; });
+    result.slotOf.resizeDiscarding(all);
+    if (particles < all) std::fill(result.slotOf.begin(), result.slotOf.end(), kNoSlot);
+    ListStatistics start;
+    start.min = std::numeric_limits<std::uint32_t>::max();
+    const auto range = tbb::blocked_range<std::size_t>(0, particles, 8192);
+    ListStatistics statistics = tbb::parallel_reduce(
+        range, start,
+        [&](const auto& r, ListStatistics s) {
+            for (std::size_t slot = r.begin(); slot < r.end(); ++slot) {
+                const std::uint32_t count = result.rowCount[slot];
+                s.min = std::min(s.min, count);
+                s.max = std::max(s.max, count);
+                s.isolated += count == 0;
+                result.slotOf[run.grid.number[slot]] = static_cast<std::uint32_t>(slot);
+            }
+            return s;
+        },
+        [](ListStatistics a, const ListStatistics& b) {
+            a.min = std::min(a.min, b.min);
+            a.max = std::max(a.max, b.max);
+            a.isolated += b.isolated;
+            return a;
+        });
+    if (particles < all || all == 0) statistics.min = 0;
+    statistics.isolated += all - particles;
+    statistics.pairs = sum.pairs;
+    statistics.mean = all ? static_cast<double>(sum.pairs) / static_cast<double>(all) : 0;
+    result.statistics = statistics;
+    result.rowBytes = 0;
+    if (result.encoding == Encoding::kIndex) result.rowBytes = sum.pairs * 4;
+    if (result.encoding == Encoding::kMask) {
+        for (const ThreadState& state : states) result.rowBytes += state.maskBytes;
+    }
+}
+
+} // namespace vdb_nns

@@ -1,0 +1,67 @@
+// What a SearchEngine keeps between runs, and the steps that every way of running a search shares: whether lists fit, and
+// what follows once all rows are there.
+#pragma once
+
+#include "execute/exact_test.h"
+#include "execute/grid_tasks.h"
+#include "execute/kernels.h"
+#include "execute/search_task.h"
+#include "execute/thread_state.h"
+#include "grid/sparse_grid_data.h"
+#include "lists/neighbor_lists_data.h"
+#include "util/cancel.h"
+#include "vdb_nns/error.h"
+#include "vdb_nns/search.h"
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+namespace vdb_nns {
+
+// One search: what all its tasks share.
+struct SearchRun {
+    const SparseGridData& grid;
+    SearchContext context;
+    ExactTest exact;
+    const Kernels& kernels;
+    CancelCheck cancel;
+    std::vector<Piece> pieces;
+
+    SearchRun(const SparseGridData& grid, const SearchOptions& options);
+
+    // The kernel that makes rows of an encoding.
+    SearchTaskFunction rowKernel(Encoding encoding) const;
+};
+
+CapacityError listsDoNotFit(Encoding encoding, bool counted, std::uint64_t needed, std::uint64_t allowed);
+
+struct EngineState {
+    GridScratch scratch;
+    std::shared_ptr<SparseGridData> grid;
+    std::shared_ptr<NeighborListsData> lists;
+    ThreadStates states;
+    SearchStatistics statistics;
+
+    void beginStatistics(const SearchOptions& options);
+    TaskStatistics sumStatistics();
+    void runTask(const SearchRun& run, SearchTaskFunction kernel, ThreadState& state, const SearchTask& task);
+
+    // Empty lists of a grid, in the memory of the last ones where nobody else reads those.
+    std::shared_ptr<NeighborListsData> beginLists(const SparseGrid& grid, Encoding encoding);
+    // Makes the arrays by slot, and hands what lists may use to `pool`. Returns those bytes; 0 without lists.
+    std::uint64_t allowRows(const SearchRun& run, const SearchOptions& options, NeighborListsData& result,
+                            ChunkPool& pool);
+    // The rows of a task, in its encoding, to memory of `pool`. Throws ChunkPool::Exhausted.
+    void makeRows(const SearchRun& run, const SearchTask& task, ThreadState& state, ChunkPool& pool,
+                  NeighborListsData& result);
+    // Once all rows are made: statistics, the order of mask rows, the way from a particle's number to its slot.
+    void finishLists(const SearchRun& run, ChunkPool& pool, NeighborListsData& result);
+
+private:
+    void checkCapacity(const SearchRun& run, Encoding encoding, std::uint64_t allowed, std::uint32_t* counts);
+};
+
+struct SearchEngine::Impl : EngineState {};
+
+} // namespace vdb_nns

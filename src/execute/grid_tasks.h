@@ -1,0 +1,81 @@
+// A grid as tasks of the CPU: which queries a task has, and how all of them are run. Knows the grid and TBB, not what a task does.
+#pragma once
+
+#include "execute/search_task.h"
+#include "execute/thread_state.h"
+#include "grid/sparse_grid_data.h"
+#include "lists/cell_candidates.h"
+#include "util/cancel.h"
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cstdint>
+#include <vector>
+
+namespace vdb_nns {
+
+// Queries of one leaf.
+struct Piece {
+    std::uint32_t leaf, firstSlot, endSlot;
+};
+
+// A leaf each; leaves with many particles in pieces, small enough to keep all threads of the arena busy to the end, large
+// enough that filling the halo again for each piece stays below a few per cent of its tests.
+std::vector<Piece> makePieces(const SparseGridData& grid);
+
+// Runs `run(state, task)` for the pieces, and f(state) after each range of them.
+template <typename Run>
+void forEachTask(const SparseGridData& grid, const std::vector<Piece>& pieces, ThreadStates& states,
+                 const CancelCheck& cancel, Run&& run)
+{
+    std::atomic<std::uint64_t> done{0};
+    const std::size_t grain = std::clamp<std::size_t>(pieces.size() / 4096, 1, 64);
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, pieces.size(), grain), [&](const auto& range) {
+        ThreadState& state = states.local();
+        const std::uint32_t firstLeaf = pieces[range.begin()].leaf,
+                            endLeaf = pieces[range.end() - 1].leaf + 1;
+        state.neighborhoods.resize(endLeaf - firstLeaf);
+        grid.topology.neighborhoods({grid.leafOrigins.data() + firstLeaf, endLeaf - firstLeaf},
+                                    state.neighborhoods.data());
+        std::uint64_t queries = 0;
+        for (std::size_t p = range.begin(); p < range.end(); ++p) {
+            cancel.check();
+            const Piece& piece = pieces[p];
+            run(state, SearchTask{piece.leaf, piece.firstSlot, piece.endSlot,
+                                  state.neighborhoods[piece.leaf - firstLeaf].leaf});
+            queries += piece.endSlot - piece.firstSlot;
+        }
+        const std::uint64_t total = done.fetch_add(queries) + queries;
+        cancel.update(static_cast<double>(total) / static_cast<double>(grid.particleCount()));
+    });
+}
+
+// Calls f(queries, candidates) for each occupied cell of a leaf that has slots in [first, end): how many of its particles
+// are among them, and the particles of the cells in reach.
+template <typename F>
+void forEachCandidateCount(const SparseGridData& grid, const SearchTask& task, F&& f)
+{
+    LeafNeighborhood neighborhood;
+    std::copy_n(task.neighborhood, 27, neighborhood.leaf);
+    forEachOccupiedCell(grid, task.leaf, neighborhood,
+                        [&](std::uint32_t cellBegin, std::uint32_t cellEnd, std::uint64_t candidates) {
+                            const std::uint32_t begin = std::max(cellBegin, task.firstSlot),
+                                                end = std::min(cellEnd, task.endSlot);
+                            if (begin < end) f(end - begin, candidates);
+                        });
+}
+
+// Bytes of the mask rows of a task.
+inline std::uint64_t maskBytes(const SparseGridData& grid, const SearchTask& task)
+{
+    std::uint64_t words = 0;
+    forEachCandidateCount(grid, task, [&](std::uint64_t queries, std::uint64_t candidates) {
+        words += queries * ((candidates + 31) / 32);
+    });
+    return words * sizeof(std::uint32_t);
+}
+
+} // namespace vdb_nns
