@@ -22,8 +22,15 @@ struct MemoryModel {
     static constexpr std::uint64_t kNeighborBytes = 4;         ///< S_n
     static constexpr std::uint64_t kCountBytes = 4;            ///< of each query
     static constexpr std::uint64_t kCellBytes = 4;             ///< start of an occupied cell
-    static constexpr std::uint64_t kLeafBytes = 16 + 64 + 108; ///< record, occupancy, neighborhood
+    static constexpr std::uint64_t kLeafBytes = 16 + 64 + 112; ///< record, occupancy, neighborhood
     static constexpr std::uint64_t kHaloLeafBytes = 16 + 64;
+    static constexpr std::uint64_t kBoundaryLeafBytes =
+        64; ///< which of its cells a device runs, without halo
+    static constexpr std::uint64_t kBlockBytes =
+        16 + 4 + 64;                                  ///< ends of leaves and cells; vectors read past the end
+    static constexpr std::uint64_t kResultBytes = 16; ///< pairs and bytes of a block's rows
+    static constexpr std::uint64_t kMaskLeafBytes = 8;  ///< where the masks of a leaf begin
+    static constexpr std::uint64_t kMaskBlockBytes = 8; ///< a row is written 64 bits at a time
 
     Encoding encoding = Encoding::kMask;
     double margin = 0.05;    ///< S_aux: this share of the expected bytes
@@ -71,7 +78,7 @@ struct WorkloadTree {
 WorkloadTree buildWorkloadTree(const SparseGrid& grid, const WorkEstimate& estimate,
                                const WorkloadTreeOptions& options);
 
-/// Bytes of a node as one block, with its halo.
-BlockBytes blockBytes(const WorkloadNode& node, const MemoryModel& model);
+/// Bytes of a node as one block: with its halo, or without it and without the queries of its boundary region.
+BlockBytes blockBytes(const WorkloadNode& node, const MemoryModel& model, bool withHalo = true);
 
 } // namespace vdb_nns

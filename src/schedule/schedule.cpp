@@ -3,13 +3,13 @@
 #include "vdb_nns/schedule.h"
 
 #include "lists/cell_candidates.h"
-#include "schedule/device_clock.h"
+#include "schedule/dispatcher.h"
 #include "vdb_nns/error.h"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numeric>
+#include <optional>
 #include <string>
 
 namespace vdb_nns {
@@ -44,8 +44,6 @@ void check(const std::vector<DeviceLimits>& devices, const ScheduleOptions& opti
 
 Block blockOf(const WorkloadNode& node, const SparseGridData& grid, const MemoryModel& model, bool withHalo)
 {
-    WorkloadNode sized = node;
-    if (!withHalo) sized.halo.particles = sized.halo.cells = sized.halo.leaves = 0;
     Block block;
     block.origin = node.origin;
     block.log2Cells = node.log2Cells;
@@ -56,7 +54,7 @@ Block blockOf(const WorkloadNode& node, const SparseGridData& grid, const Memory
     block.work = node.work;
     block.halo = node.halo;
     block.withHalo = withHalo;
-    block.bytes = blockBytes(sized, model);
+    block.bytes = blockBytes(node, model, withHalo);
     return block;
 }
 
@@ -109,6 +107,7 @@ private:
         Block part = leaf;
         const auto bytesOf = [&](const Work& work) {
             WorkloadNode sized;
+            sized.endLeaf = 1;
             sized.work = work;
             BlockBytes bytes = blockBytes(sized, mTree.options.model);
             bytes.up = leaf.bytes.up;
@@ -169,111 +168,57 @@ std::uint64_t boundaryTests(const Block& block)
     return static_cast<std::uint64_t>(share * static_cast<double>(block.work.candidateTests));
 }
 
-// Seconds that a device needs for work when nothing else holds it up: its slowest stage.
-double deviceSeconds(const Rates& rates, std::uint64_t tests, const BlockBytes& bytes)
-{
-    return std::max({static_cast<double>(tests) / rates.testsPerSecond,
-                     static_cast<double>(bytes.up) / rates.uploadBytesPerSecond,
-                     static_cast<double>(bytes.down) / rates.downloadBytesPerSecond});
-}
-
-// Hands blocks out in predicted time: devices take the largest, the CPU boundary regions and the smallest.
+// Hands blocks out in predicted time.
 void handOut(const std::vector<DeviceLimits>& devices, const std::vector<std::uint64_t>& budgets,
              const ScheduleOptions& options, Schedule& schedule)
 {
-    std::vector<DeviceClock> clocks;
-    for (const DeviceLimits& device : devices) clocks.emplace_back(device.rates, device.slots);
     schedule.devices.assign(devices.size(), {});
-    std::vector<std::vector<std::uint64_t>> inSlots(devices.size());
-    double cpu = 0; // when its work so far is done
-    const auto cpuSeconds = [&](std::uint64_t tests) {
-        return static_cast<double>(tests) / options.cpuTestsPerSecond;
-    };
-    const auto giveToCpu = [&](Block& block) {
-        block.preferred = Block::kOnCpu;
-        block.startSeconds = cpu;
-        block.endSeconds = cpu += cpuSeconds(block.work.candidateTests);
-        schedule.cpuParticles += block.work.particles;
-    };
-
-    std::vector<std::size_t> order;
-    double left = 0; // seconds of what is not handed out, by the devices together
+    Dispatcher dispatcher(devices, budgets, options);
     double testsPerSecond = options.cpuTestsPerSecond;
     for (const DeviceLimits& device : devices) testsPerSecond += device.rates.testsPerSecond;
     std::uint64_t tests = 0;
-    for (const Block& block : schedule.blocks) tests += block.work.candidateTests;
-    schedule.lowerBoundSeconds = static_cast<double>(tests) / testsPerSecond;
-    const auto shareOf = [&](const Block& block) {
-        double seconds = 0;
-        for (const DeviceLimits& device : devices) {
-            const double own = deviceSeconds(device.rates, block.work.candidateTests, block.bytes);
-            seconds += own > 0 ? 1 / own : 0;
-        }
-        return seconds > 0 ? 1 / seconds : 0;
-    };
-
+    std::vector<Dispatcher::Item> items;
     for (std::size_t b = 0; b < schedule.blocks.size(); ++b) {
-        const bool fits = std::any_of(budgets.begin(), budgets.end(), [&](std::uint64_t budget) {
-            return schedule.blocks[b].bytes.total() <= budget;
-        });
-        if (fits) {
-            order.push_back(b);
-            left += shareOf(schedule.blocks[b]);
-        } else {
-            if (!devices.empty()) schedule.tooLargeQueries += schedule.blocks[b].work.particles;
-            giveToCpu(schedule.blocks[b]);
-        }
-    }
-    std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
-        return schedule.blocks[a].work.candidateTests > schedule.blocks[b].work.candidateTests;
-    });
-    std::size_t first = 0, last = order.size();
-    while (first < last) {
-        // The device that is ready first takes the largest block that it can hold.
-        std::size_t d = 0;
-        for (std::size_t k = 1; k < clocks.size(); ++k) {
-            if (clocks[k].ready() < clocks[d].ready()) d = k;
-        }
-        Block& small = schedule.blocks[order[last - 1]];
-        double devicesDone = 0;
-        for (const DeviceClock& clock : clocks) devicesDone = std::max(devicesDone, clock.ready());
-        const double cpuDone = cpu + cpuSeconds(small.work.candidateTests);
-        if (options.useCpu && cpu <= clocks[d].ready() && cpuDone <= devicesDone + left) {
-            left -= shareOf(small);
-            giveToCpu(small);
-            --last;
+        Block& block = schedule.blocks[b];
+        tests += block.work.candidateTests;
+        if (dispatcher.fits(block.bytes.total())) {
+            items.push_back({b, block.work.candidateTests, boundaryTests(block), block.bytes});
             continue;
         }
-        Block& large = schedule.blocks[order[first++]];
-        left -= shareOf(large);
-        for (std::size_t k = 0; large.bytes.total() > budgets[d] && k < clocks.size(); ++k) d = k;
-        const std::uint64_t outside = boundaryTests(large);
-        const DeviceClock::Times times =
-            clocks[d].run(large.work.candidateTests - outside, large.bytes.up, large.bytes.down);
-        cpu += cpuSeconds(outside);
-        large.preferred = static_cast<int>(d);
-        large.startSeconds = times.start;
-        large.endSeconds = times.end;
-        const std::uint64_t boundary = large.withHalo ? 0 : large.halo.boundaryQueries;
-        schedule.deviceParticles += large.work.particles - boundary;
-        schedule.cpuParticles += boundary;
-        schedule.boundaryLeaves += large.withHalo ? 0 : large.halo.boundaryLeaves;
-        schedule.devices[d].blocks += 1;
-        schedule.devices[d].particles += large.work.particles - boundary;
-        // The slots' buffers are as large as the largest block that passes through each.
-        std::vector<std::uint64_t>& held = inSlots[d];
-        const std::size_t slot =
-            (schedule.devices[d].blocks - 1) % static_cast<std::size_t>(devices[d].slots);
-        if (held.size() <= slot) held.resize(slot + 1);
-        held[slot] = std::max(held[slot], large.bytes.total());
+        if (!devices.empty()) schedule.tooLargeQueries += block.work.particles;
+        block.startSeconds = dispatcher.cpuSeconds();
+        block.endSeconds = dispatcher.addCpuTests(block.work.candidateTests);
+        schedule.cpuParticles += block.work.particles;
     }
-    schedule.cpuBusySeconds = cpu;
-    schedule.predictedSeconds = cpu;
-    for (std::size_t d = 0; d < clocks.size(); ++d) {
-        schedule.devices[d].busySeconds = clocks[d].searchSeconds();
-        schedule.devices[d].peakBytes =
-            std::accumulate(inSlots[d].begin(), inSlots[d].end(), std::uint64_t(0));
-        schedule.predictedSeconds = std::max(schedule.predictedSeconds, clocks[d].done());
+    schedule.lowerBoundSeconds = static_cast<double>(tests) / testsPerSecond;
+    dispatcher.setItems(std::move(items));
+    while (const std::optional<Dispatcher::Turn> turn = dispatcher.next()) {
+        Block& block = schedule.blocks[turn->block];
+        block.preferred = turn->executor;
+        block.startSeconds = turn->startSeconds;
+        if (turn->executor == Block::kOnCpu) {
+            block.endSeconds = turn->endSeconds;
+            schedule.cpuParticles += block.work.particles;
+            continue;
+        }
+        block.endSeconds = dispatcher.finish(turn->executor, block.bytes.down);
+        const auto d = static_cast<std::size_t>(turn->executor);
+        const std::uint64_t boundary = block.withHalo ? 0 : block.halo.boundaryQueries;
+        DevicePlan& device = schedule.devices[d];
+        schedule.deviceParticles += block.work.particles - boundary;
+        schedule.cpuParticles += boundary;
+        schedule.boundaryLeaves += block.withHalo ? 0 : block.halo.boundaryLeaves;
+        device.blocks += 1;
+        device.particles += block.work.particles - boundary;
+        // A slot is as large as the largest block, so that any of them may hold any block.
+        device.peakBytes = std::max(device.peakBytes, block.bytes.total());
+    }
+    schedule.cpuBusySeconds = dispatcher.cpuSeconds();
+    schedule.predictedSeconds = dispatcher.doneSeconds();
+    for (std::size_t d = 0; d < devices.size(); ++d) {
+        DevicePlan& device = schedule.devices[d];
+        device.busySeconds = dispatcher.deviceSeconds(static_cast<int>(d));
+        device.peakBytes *= std::min(device.blocks, static_cast<std::uint64_t>(devices[d].slots));
     }
 }
 

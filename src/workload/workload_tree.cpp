@@ -95,16 +95,21 @@ private:
 
 } // namespace
 
-BlockBytes blockBytes(const WorkloadNode& node, const MemoryModel& model)
+BlockBytes blockBytes(const WorkloadNode& node, const MemoryModel& model, bool withHalo)
 {
     using M = MemoryModel;
+    const std::uint64_t leaves = node.endLeaf - node.firstLeaf, particles = node.work.particles;
     BlockBytes bytes;
-    bytes.up = (node.work.particles + node.halo.particles) * M::kParticleBytes +
-               (node.occupiedCells + node.halo.cells + 1) * M::kCellBytes +
-               (node.endLeaf - node.firstLeaf) * M::kLeafBytes + node.halo.leaves * M::kHaloLeafBytes;
-    const std::uint64_t particles = node.work.particles;
-    bytes.down = particles * M::kCountBytes;
-    if (model.encoding == Encoding::kMask) bytes.down += node.work.maskBytes;
+    bytes.up = particles * M::kParticleBytes + node.occupiedCells * M::kCellBytes + leaves * M::kLeafBytes +
+               M::kBlockBytes;
+    bytes.up += withHalo ? node.halo.particles * M::kParticleBytes + node.halo.cells * M::kCellBytes +
+                               node.halo.leaves * M::kHaloLeafBytes
+                         : node.halo.boundaryLeaves * M::kBoundaryLeafBytes;
+    bytes.up = (bytes.up + 15) / 16 * 16;
+    bytes.down = M::kResultBytes + particles * M::kCountBytes;
+    if (model.encoding == Encoding::kMask) {
+        bytes.down += node.work.maskBytes + leaves * M::kMaskLeafBytes + M::kMaskBlockBytes;
+    }
     if (model.encoding == Encoding::kIndex) {
         const double neighbors = node.work.expectedPairs * (1 + model.margin) +
                                  static_cast<double>(particles) * model.auxNeighbors;

@@ -140,16 +140,18 @@ void expectHalos(const Schedule& schedule, const SparseGrid& grid)
         EXPECT_EQ(block.halo.leaves, halo.leaves);
         const SparseGrid::Leaf first = grid.leaf(block.firstLeaf), last = grid.leaf(block.endLeaf - 1);
         const std::uint64_t particles = last.firstSlot + last.particleCount - first.firstSlot;
-        std::uint64_t cells = 1;
+        std::uint64_t cells = 0;
         for (std::uint32_t l = block.firstLeaf; l < block.endLeaf; ++l) {
             for (const std::uint64_t word : grid.leaf(l).occupancy)
                 cells += static_cast<std::uint64_t>(__builtin_popcountll(word));
         }
         const std::uint64_t own = particles * M::kParticleBytes + cells * M::kCellBytes +
-                                  (block.endLeaf - block.firstLeaf) * M::kLeafBytes;
-        const std::uint64_t around =
-            halo.particles * M::kParticleBytes + halo.cells * M::kCellBytes + halo.leaves * M::kHaloLeafBytes;
-        EXPECT_EQ(block.bytes.up, own + (block.withHalo ? around : 0));
+                                  (block.endLeaf - block.firstLeaf) * M::kLeafBytes + M::kBlockBytes;
+        const std::uint64_t around = block.withHalo
+                                         ? halo.particles * M::kParticleBytes + halo.cells * M::kCellBytes +
+                                               halo.leaves * M::kHaloLeafBytes
+                                         : halo.boundaryLeaves * M::kBoundaryLeafBytes;
+        EXPECT_EQ(block.bytes.up, (own + around + 15) / 16 * 16);
         if (block.endSlot - block.firstSlot == particles) {
             EXPECT_EQ(block.halo.boundaryQueries, halo.boundaryQueries);
             EXPECT_EQ(block.halo.boundaryLeaves, halo.boundaryLeaves);
@@ -594,11 +596,10 @@ constexpr Rates kSlow{1, 10, 4, 2};
 void expectRun(DeviceClock& clock, std::uint64_t tests, std::uint64_t up, std::uint64_t down, double start,
                double end)
 {
+    EXPECT_FALSE(clock.full());
     EXPECT_EQ(clock.ready(), start);
-    EXPECT_EQ(clock.endOf(tests, up, down), end);
-    const DeviceClock::Times times = clock.run(tests, up, down);
-    EXPECT_EQ(times.start, start);
-    EXPECT_EQ(times.end, end);
+    EXPECT_EQ(clock.begin(tests, up), start);
+    EXPECT_EQ(clock.finish(down), end);
     EXPECT_EQ(clock.done(), end);
 }
 
@@ -612,6 +613,21 @@ TEST(DeviceClock, ThreeSlotsOverlap)
     expectRun(clock, 0, 20, 4, 9, 21);  // the first slot is free at 9: up 9..14, search 18..19, down 19..21
     expectRun(clock, 20, 4, 0, 14, 22); // the second at 14: up 14..15, search 19..22
     EXPECT_EQ(clock.searchSeconds(), 4 + 2 + 10 + 1 + 3);
+}
+
+// A block may be begun before the one before it is downloaded: times are the same.
+TEST(DeviceClock, BlocksMayBeFinishedLater)
+{
+    DeviceClock clock(kSlow, 2);
+    EXPECT_EQ(clock.begin(30, 8), 0);
+    EXPECT_EQ(clock.begin(10, 4), 2);
+    EXPECT_TRUE(clock.full());
+    EXPECT_EQ(clock.finish(6), 9);
+    EXPECT_FALSE(clock.full());
+    EXPECT_EQ(clock.ready(), 9); // the first slot
+    EXPECT_EQ(clock.begin(90, 4), 9);
+    EXPECT_EQ(clock.finish(10), 14);
+    EXPECT_EQ(clock.finish(2), 21); // up 9..10, search 10..20
 }
 
 TEST(DeviceClock, OneSlotDoesOneThingAtATime)

@@ -1,0 +1,119 @@
+// See dispatcher.h.
+#include "schedule/dispatcher.h"
+
+#include <algorithm>
+#include <utility>
+
+namespace vdb_nns {
+
+Dispatcher::Dispatcher(const std::vector<DeviceLimits>& devices, std::vector<std::uint64_t> budgets,
+                       const ScheduleOptions& options)
+    : mDevices(devices), mBudgets(std::move(budgets)), mOptions(options), mRetired(devices.size(), false)
+{
+    for (const DeviceLimits& device : devices) mClocks.emplace_back(device.rates, device.slots);
+}
+
+void Dispatcher::setItems(std::vector<Item> items)
+{
+    std::stable_sort(items.begin(), items.end(),
+                     [](const Item& a, const Item& b) { return a.tests > b.tests; });
+    for (const Item& item : items) mLeft += shareOf(item);
+    mItems.assign(items.begin(), items.end());
+}
+
+bool Dispatcher::fits(std::uint64_t bytes) const
+{
+    for (std::size_t d = 0; d < mBudgets.size(); ++d) {
+        if (!mRetired[d] && bytes <= mBudgets[d]) return true;
+    }
+    return false;
+}
+
+// Seconds that all devices together need for a block when nothing else holds them up: each by its slowest stage.
+double Dispatcher::shareOf(const Item& item) const
+{
+    double perSecond = 0;
+    for (const DeviceLimits& device : mDevices) {
+        const Rates& rates = device.rates;
+        const double seconds =
+            std::max({static_cast<double>(item.tests) / rates.testsPerSecond,
+                      static_cast<double>(item.bytes.up) / rates.uploadBytesPerSecond,
+                      static_cast<double>(item.bytes.down) / rates.downloadBytesPerSecond});
+        perSecond += seconds > 0 ? 1 / seconds : 0;
+    }
+    return perSecond > 0 ? 1 / perSecond : 0;
+}
+
+double Dispatcher::addCpuTests(std::uint64_t tests)
+{
+    return mCpuDone += static_cast<double>(tests) / mOptions.cpuTestsPerSecond;
+}
+
+Dispatcher::Turn Dispatcher::giveToCpu(const Item& item)
+{
+    Turn turn{item.block, Block::kOnCpu, mCpuDone, 0};
+    turn.endSeconds = addCpuTests(item.tests);
+    return turn;
+}
+
+Dispatcher::Turn Dispatcher::giveToDevice(std::size_t device, const Item& item)
+{
+    const double start = mClocks[device].begin(item.tests - item.outsideTests, item.bytes.up);
+    addCpuTests(item.outsideTests);
+    return {item.block, static_cast<int>(device), start, 0};
+}
+
+std::optional<Dispatcher::Turn> Dispatcher::next()
+{
+    // The device that is ready first takes the largest block that it can hold.
+    std::optional<std::size_t> free;
+    double devicesDone = 0;
+    for (std::size_t d = 0; d < mClocks.size(); ++d) {
+        if (mRetired[d]) continue;
+        if (!free || mClocks[d].ready() < mClocks[*free].ready()) free = d;
+        devicesDone = std::max(devicesDone, mClocks[d].ready());
+    }
+    const auto deviceFor = [&](const Item& item) {
+        std::optional<std::size_t> device = free;
+        for (std::size_t d = 0; d < mClocks.size() && device && item.bytes.total() > mBudgets[*device]; ++d) {
+            if (!mRetired[d]) device = d;
+        }
+        return device && item.bytes.total() <= mBudgets[*device] ? device : std::nullopt;
+    };
+    if (!mAgain.empty()) {
+        const Item item = mAgain.back();
+        mAgain.pop_back();
+        const std::optional<std::size_t> device = deviceFor(item);
+        return device ? giveToDevice(*device, item) : giveToCpu(item);
+    }
+    if (mItems.empty()) return std::nullopt;
+    const Item& small = mItems.back();
+    const double cpuDone = mCpuDone + static_cast<double>(small.tests) / mOptions.cpuTestsPerSecond;
+    const bool cpuEndsSooner =
+        mOptions.useCpu && free && mCpuDone <= mClocks[*free].ready() && cpuDone <= devicesDone + mLeft;
+    if (cpuEndsSooner || !free) {
+        const Item item = small;
+        mItems.pop_back();
+        mLeft -= shareOf(item);
+        return giveToCpu(item);
+    }
+    const Item item = mItems.front();
+    mItems.pop_front();
+    mLeft -= shareOf(item);
+    const std::optional<std::size_t> device = deviceFor(item);
+    return device ? giveToDevice(*device, item) : giveToCpu(item);
+}
+
+double Dispatcher::finish(int device, std::uint64_t bytesDown)
+{
+    return mClocks[static_cast<std::size_t>(device)].finish(bytesDown);
+}
+
+double Dispatcher::doneSeconds() const
+{
+    double done = mCpuDone;
+    for (const DeviceClock& clock : mClocks) done = std::max(done, clock.done());
+    return done;
+}
+
+} // namespace vdb_nns

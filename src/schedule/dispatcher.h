@@ -1,0 +1,74 @@
+// Hands blocks out to whoever is free first, in virtual time: devices take the largest, TBB workers boundary regions and the
+// smallest, so that all end together. Predicts a schedule, and runs one on simulated devices. No device calls.
+#pragma once
+
+#include "schedule/device_clock.h"
+#include "vdb_nns/schedule.h"
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <optional>
+#include <vector>
+
+namespace vdb_nns {
+
+class Dispatcher {
+public:
+    struct Item {
+        std::size_t block; // the caller's number of it
+        std::uint64_t tests;
+        std::uint64_t outsideTests; // of those, left to TBB workers when a device takes the block
+        BlockBytes bytes;
+    };
+    struct Turn {
+        std::size_t block;
+        int executor; // device, or Block::kOnCpu
+        double startSeconds;
+        double endSeconds; // on the CPU only; a device's is known once it has finished
+    };
+
+    // `budgets`: the most bytes of a block, by device.
+    Dispatcher(const std::vector<DeviceLimits>& devices, std::vector<std::uint64_t> budgets,
+               const ScheduleOptions& options);
+
+    // Blocks to hand out; each fits a device. Called once.
+    void setItems(std::vector<Item> items);
+    // A block to be taken before all others, by a device that it fits.
+    void addFirst(const Item& item) { mAgain.push_back(item); }
+
+    // No device that is in use may be full().
+    std::optional<Turn> next();
+    // Tests that TBB workers have to do besides.
+    double addCpuTests(std::uint64_t tests);
+    // The oldest block of a device is downloaded. Returns when.
+    double finish(int device, std::uint64_t bytesDown);
+    bool full(int device) const { return mClocks[static_cast<std::size_t>(device)].full(); }
+    // The device takes no more blocks.
+    void retire(int device) { mRetired[static_cast<std::size_t>(device)] = true; }
+    bool fits(std::uint64_t bytes) const; // a device that is in use
+
+    double cpuSeconds() const { return mCpuDone; }
+    double deviceSeconds(int device) const
+    {
+        return mClocks[static_cast<std::size_t>(device)].searchSeconds();
+    }
+    double doneSeconds() const; // of what is finished
+
+private:
+    Turn giveToDevice(std::size_t device, const Item& item);
+    Turn giveToCpu(const Item& item);
+    double shareOf(const Item& item) const;
+
+    const std::vector<DeviceLimits>& mDevices;
+    std::vector<std::uint64_t> mBudgets;
+    ScheduleOptions mOptions;
+    std::vector<DeviceClock> mClocks;
+    std::vector<bool> mRetired;
+    std::deque<Item> mItems; // largest first
+    std::vector<Item> mAgain;
+    double mLeft = 0;    // seconds of what is not handed out, by the devices together
+    double mCpuDone = 0; // when the CPU's work so far is done
+};
+
+} // namespace vdb_nns
