@@ -11,7 +11,7 @@ namespace vdb_nns {
 
 /// How the pairs of a leaf are estimated.
 enum class Estimator {
-    kExpected, ///< particles uniform in each cell, overlap of cells by quadrature; corrected where they crowd
+    kExpected, ///< particles uniform in each cell, overlap of cells by quadrature; each part corrected by a small sample
     kMonteCarlo, ///< the paper's: the same without the correction, overlap of cells by random samples
     kSampled,    ///< a share of the queries counted exactly, the rest by their ratio to the expectation
     kCounted,    ///< all queries counted: exact, at the price of a search
@@ -20,10 +20,11 @@ enum class Estimator {
 
 struct EstimateOptions {
     Estimator estimator = Estimator::kExpected;
-    double sampleFraction = 0.03; ///< of the queries; kSampled. At most; kExpected where particles crowd
+    /// Of the queries, for kSampled. kExpected counts half as many groups of up to 8 queries of a cell at most, but 512 of them.
+    double sampleFraction = 0.03;
     std::uint64_t monteCarloSamples = 1'000'000; ///< of each class of cell offsets; kMonteCarlo
     double fixedNeighbors = 64;                  ///< of each particle; kFixed
-    bool correctCrowding = true;                 ///< kExpected
+    bool correctCrowding = true;                 ///< kExpected: by the sample
     std::uint64_t seed = 1;                      ///< kMonteCarlo
     Progress* progress = nullptr;
 };
@@ -53,8 +54,8 @@ struct WorkEstimate {
     bool corrected = false;           ///< the expectation was corrected by a sample
     std::uint64_t countedQueries = 0; ///< counted exactly for it
     double correction = 1; ///< counted over expected pairs of those, shrunk towards 1 where they are few
-    /// Share by which the pairs of a block may pass their estimate: what to reserve for it, from the spread of the counted
-    /// queries' ratios between parts of the scene.
+    /// Share by which the pairs of a block may pass their estimate: what to reserve for it, from the standard error of the
+    /// counted queries' ratios in the parts of the scene.
     double margin = 0;
     double seconds = 0;
 };

@@ -2,15 +2,18 @@
 //
 // One pass over the cells: each takes a weighted sum of the particles of the cells in its reach. That expectation is wrong
 // where particles are not uniform in their cell: by a constant share in a regular fluid, by anything where they crowd. So a
-// few groups of queries are counted (the pilot). Where their ratios to the expectation agree, one ratio corrects
-// everything; where they do not, a sample of all queries corrects every part of the scene by its own ratio. (Correcting
-// cells by how crowded they are, instead or besides, was tried: on spray and clusters the 99th percentile of the error of
-// 64^3 blocks stays between 15 and 27 % against 17 and 21 %.)
+// sample of the queries is counted, and corrects every part of the scene by its own ratio of counted to expected pairs.
+//
+// How the sample is drawn was chosen on the scenes of docs/workload.md, which has the figures:
+//   * a few queries of one cell at a time: finding the candidates of one is what costs, and neighbors in a cell differ
+//   * between parts by the root of their particles: in proportion the small parts are wrong, with equal numbers the large
+//   * of as many places as a part needs on average, and fewer where they would cost more than a small share of the search
 #include "vdb_nns/work_estimate.h"
 
 #include "estimate/overlap_table.h"
 #include "execute/count_queries.h"
 #include "execute/kernels.h"
+#include "execute/leaves_in_reach-inl.h"
 #include "execute/search_task.h"
 #include "grid/sparse_grid_data.h"
 #include "lists/cell_candidates.h"
@@ -20,30 +23,29 @@
 
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
-#include <tbb/parallel_reduce.h>
 
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <numeric>
 #include <string>
-#include <utility>
 #include <vector>
 
 namespace vdb_nns {
 
 namespace {
 
-// Queries that are counted for the pilot: groups of consecutive ones, so that a group is a place. About a thousandth of the
-// search of a million particles.
-constexpr std::size_t kPilotGroups = 64;
-constexpr std::uint32_t kPilotGroupSize = 256;
-// Groups of a regular fluid differ by 2 %, most of it at the surface; where particles crowd by 10 % and more.
-constexpr double kCrowdedSpread = 0.05;
-// A part's own ratio counts as much as its parent's when it has that many samples: the ratio of one varies by about half of
-// itself where particles crowd.
-constexpr double kPriorSamples = 16;
-// Samples of each smallest part, on average, past which more tell little.
-constexpr std::size_t kSamplesEachPart = 512;
+// Queries of one cell that are counted together. More tell little: they have most of their candidates in common.
+constexpr std::uint32_t kGroupSize = 8;
+// A group tells about as much as two queries of different cells.
+constexpr double kQueriesWorth = 2;
+// Groups of each smallest part, on average, past which more tell little; and of all, so that small scenes have enough.
+constexpr std::size_t kGroupsEachPart = 128, kFewestGroups = 512;
+// Of a part's queries no more than this share begins a group.
+constexpr double kMostOfPart = 0.25;
+// A part's own ratio counts as much as its parent's when it has that many samples. Where particles crowd, the ratio of one
+// sample varies about three times as much as those of parts.
+constexpr double kPriorSamples = 8;
 // Parts that have a ratio of their own: nodes of 2^k cells.
 constexpr int kPartLog2Cells[] = {9, 7, 6};
 
@@ -67,15 +69,74 @@ void checkOptions(const EstimateOptions& options)
     }
 }
 
-// Every stride-th slot, and what the model expects of its query.
-struct Samples {
-    std::uint32_t stride = 1;
-    std::vector<float> expected;
+// The node of 2^log2Cells cells that a leaf is in.
+Vec3i nodeOf(const SparseGridData& grid, std::size_t leaf, int log2Cells)
+{
+    const Vec3i& o = grid.leafOrigins[leaf];
+    return {o[0] >> log2Cells, o[1] >> log2Cells, o[2] >> log2Cells};
+}
 
-    std::uint32_t slotOf(std::size_t k) const { return static_cast<std::uint32_t>(k * stride + stride / 2); }
-    // The first sample at that slot or later.
-    std::size_t firstFrom(std::uint64_t slot) const { return (slot + stride - 1 - stride / 2) / stride; }
+// First leaf of each smallest part, and the end. Leaves of a node stand together.
+std::vector<std::size_t> partsOf(const SparseGridData& grid)
+{
+    std::vector<std::size_t> begin;
+    for (std::size_t l = 0; l < grid.leafCount(); ++l) {
+        if (l == 0 || nodeOf(grid, l, kPartLog2Cells[2]) != nodeOf(grid, l - 1, kPartLog2Cells[2]))
+            begin.push_back(l);
+    }
+    begin.push_back(grid.leafCount());
+    return begin;
+}
+
+// A slot that was drawn; the queries that are counted for it, and what the model expects of each of them.
+struct Sample {
+    std::uint32_t slot, part;
+    double weight; // queries that it stands for
+    QueryRange queries{};
+    float expected = 0;
 };
+
+// Slots in ascending order, `share(particles)` of each smallest part. Spread evenly, but for a jitter that keeps them from
+// falling in step with the rows of a lattice.
+template <typename Share>
+std::vector<Sample> drawSamples(const SparseGridData& grid, const std::vector<std::size_t>& parts,
+                                const Share& share)
+{
+    std::vector<Sample> samples;
+    for (std::size_t p = 0; p + 1 < parts.size(); ++p) {
+        const std::uint32_t first = grid.leaves[parts[p]].firstSlot;
+        const std::uint32_t particles = grid.leaves[parts[p + 1]].firstSlot - first;
+        const double count = std::clamp(std::floor(share(particles)), 1.0, static_cast<double>(particles));
+        const double stride = particles / count;
+        for (std::uint32_t k = 0; k < static_cast<std::uint32_t>(count); ++k) {
+            constexpr std::uint32_t kGolden = 0x9e3779b9u; // 2^32 / golden ratio: multiples spread evenly
+            const double jitter = static_cast<std::uint32_t>(samples.size()) * kGolden * 0x1p-32;
+            const auto slot = static_cast<std::uint32_t>((k + jitter) * stride);
+            samples.push_back({first + std::min(slot, particles - 1), static_cast<std::uint32_t>(p), stride});
+        }
+    }
+    return samples;
+}
+
+std::vector<Sample> drawSamples(const SparseGridData& grid, const std::vector<std::size_t>& parts,
+                                const EstimateOptions& options)
+{
+    if (options.estimator == Estimator::kSampled) {
+        return drawSamples(grid, parts,
+                           [&](std::uint32_t particles) { return options.sampleFraction * particles; });
+    }
+    if (options.estimator != Estimator::kExpected || !options.correctCrowding) return {};
+    double roots = 0;
+    for (std::size_t p = 0; p + 1 < parts.size(); ++p)
+        roots += std::sqrt(grid.leaves[parts[p + 1]].firstSlot - grid.leaves[parts[p]].firstSlot);
+    const double groups = std::max(
+        static_cast<double>(kFewestGroups),
+        std::min(static_cast<double>(kGroupsEachPart * (parts.size() - 1)),
+                 options.sampleFraction * static_cast<double>(grid.particleCount()) / kQueriesWorth));
+    return drawSamples(grid, parts, [&](std::uint32_t particles) {
+        return std::min(groups * std::sqrt(particles) / roots, kMostOfPart * particles);
+    });
+}
 
 // The expectation, cell by cell.
 class Model {
@@ -93,55 +154,65 @@ public:
         mSelf = static_cast<float>(overlap.share(0, 0, 0));
     }
 
-    // Calls f(first slot, end slot, candidates, neighbors expected of a query) for each occupied cell of the leaves from
-    // `begin` on, and f.endOfLeaf(leaf) after each leaf.
-    template <typename Visitor>
-    void visit(std::size_t begin, std::size_t end, Visitor&& visitor) const
+    // Sums the work of the leaves from `begin` on, and completes their samples, with `groupSize` queries each at most.
+    void sum(std::size_t begin, std::size_t end, std::uint32_t groupSize, std::vector<Work>& leaves,
+             std::vector<Sample>& samples) const
     {
         CellCounts cube;
-        std::vector<LeafNeighborhood> neighborhoods(end - begin);
-        mGrid.topology.neighborhoods({&mGrid.leafOrigins[begin], end - begin}, neighborhoods.data());
+        const std::vector<LeafNeighborhood> neighborhoods = neighborhoodsOf(begin, end);
         const ExpectCellsFunction expectCells = kernelsFor(SimdLevel::kBest).expectCells;
         float expected[512];
         std::uint32_t candidates[512];
+        auto sample = std::lower_bound(samples.begin(), samples.end(), mGrid.leaves[begin].firstSlot,
+                                       [](const Sample& s, std::uint32_t slot) { return s.slot < slot; });
         for (std::size_t l = begin; l < end; ++l) {
-            expectCells(mBlock, static_cast<std::uint32_t>(l), neighborhoods[l - begin].leaf, mShares.data(),
-                        cube, expected, candidates);
+            const auto leaf = static_cast<std::uint32_t>(l);
+            expectCells(mBlock, leaf, neighborhoods[l - begin].leaf, mShares.data(), cube, expected,
+                        candidates);
             const std::uint32_t* const cell = mGrid.cellStart.data() + mGrid.leaves[l].firstCell;
             const std::uint32_t cells = mGrid.leaves[l + 1].firstCell - mGrid.leaves[l].firstCell;
+            Work work;
             for (std::uint32_t c = 0; c < cells; ++c) {
-                // A query is not its own neighbor.
-                visitor.cell(cell[c], cell[c + 1], candidates[c], std::max(0.0f, expected[c] - mSelf));
+                const float neighbors = std::max(0.0f, expected[c] - mSelf); // a query is not its own
+                const std::uint64_t queries = cell[c + 1] - cell[c];
+                work.particles += queries;
+                work.candidateTests += queries * candidates[c];
+                work.maskBytes +=
+                    queries * ((std::uint64_t(candidates[c]) + 31) / 32) * sizeof(std::uint32_t);
+                work.expectedPairs += static_cast<double>(queries) * static_cast<double>(neighbors);
+                for (; sample != samples.end() && sample->slot < cell[c + 1]; ++sample) {
+                    const std::uint32_t last = std::max(cell[c + 1], groupSize) - groupSize;
+                    const std::uint32_t first = std::max(cell[c], std::min(sample->slot, last));
+                    sample->queries = {leaf, first, first + std::min(groupSize, cell[c + 1] - first)};
+                    sample->expected = neighbors;
+                }
             }
-            visitor.endOfLeaf(l);
+            leaves[l] = work;
         }
     }
 
 private:
+    // Of each leaf the leaves around that are in reach of its cells; expectCells() reads no others.
+    std::vector<LeafNeighborhood> neighborhoodsOf(std::size_t begin, std::size_t end) const
+    {
+        std::vector<LeafNeighborhood> neighborhoods(end - begin), found(end - begin);
+        std::vector<std::size_t> leaves;
+        std::vector<Vec3i> origins;
+        for (std::size_t l = begin; l < end; ++l) {
+            neighborhoods[l - begin].leaf[13] = static_cast<std::uint32_t>(l);
+            if (leavesInReach(mGrid.leaves[l].occupancy, mGrid.reach) == kOwnLeafAlone) continue;
+            leaves.push_back(l);
+            origins.push_back(mGrid.leafOrigins[l]);
+        }
+        mGrid.topology.neighborhoods({origins.data(), origins.size()}, found.data());
+        for (std::size_t k = 0; k < leaves.size(); ++k) neighborhoods[leaves[k] - begin] = found[k];
+        return neighborhoods;
+    }
+
     const SparseGridData& mGrid;
     BlockView mBlock;
     std::vector<float> mShares;
     float mSelf = 0;
-};
-
-// Sums the work of each leaf, corrected, and notes what is expected of the samples.
-struct LeafSums {
-    std::vector<Work>& leaves;
-    Samples& samples;
-    Work work{};
-
-    void cell(std::uint32_t begin, std::uint32_t end, std::uint32_t candidates, float expected)
-    {
-        const std::uint64_t queries = end - begin;
-        work.particles += queries;
-        work.candidateTests += queries * candidates;
-        work.maskBytes += queries * ((std::uint64_t(candidates) + 31) / 32) * sizeof(std::uint32_t);
-        work.expectedPairs += static_cast<double>(queries) * static_cast<double>(expected);
-        std::size_t k = samples.firstFrom(begin);
-        for (; k < samples.expected.size() && samples.slotOf(k) < end; ++k) samples.expected[k] = expected;
-    }
-
-    void endOfLeaf(std::size_t leaf) { leaves[leaf] = std::exchange(work, {}); }
 };
 
 // Counted and expected pairs of some samples.
@@ -155,94 +226,7 @@ struct Ratio {
         samples += other.samples;
         return *this;
     }
-
-    double value() const { return expected > 0 ? counted / expected : 1; }
 };
-
-Ratio ratioOf(const Samples& samples, std::size_t k, std::uint32_t counted)
-{
-    return {static_cast<double>(counted), static_cast<double>(samples.expected[k]), 1};
-}
-
-// Some groups of consecutive queries all over the scene, counted by the search itself, and what the model expects of them.
-class Pilot {
-public:
-    Pilot(const SparseGridData& grid, const Model& model, const CancelCheck& cancel)
-    {
-        const std::size_t particles = grid.particleCount(),
-                          groups = std::min<std::size_t>(kPilotGroups, particles);
-        std::vector<SlotRange> ranges; // of one leaf each
-        std::vector<std::size_t> groupOf;
-        for (std::size_t g = 0; g < groups; ++g) {
-            auto slot = static_cast<std::uint32_t>(particles * g / groups);
-            const auto end = static_cast<std::uint32_t>(
-                std::min<std::size_t>(slot + kPilotGroupSize, particles * (g + 1) / groups));
-            for (std::uint32_t leaf = leafOf(grid, slot); slot < end; ++leaf) {
-                const std::uint32_t last = std::min(grid.leaves[leaf + 1].firstSlot, end);
-                ranges.push_back({leaf, slot, last});
-                groupOf.push_back(g);
-                slot = last;
-            }
-        }
-        const std::vector<std::uint32_t> counts = countRanges(grid, ranges, cancel);
-        mGroups.resize(groups);
-        std::size_t next = 0;
-        for (std::size_t r = 0; r < ranges.size(); ++r) {
-            model.visit(ranges[r].leaf, ranges[r].leaf + 1,
-                        GroupSums{mGroups[groupOf[r]], ranges[r], counts.data() + next});
-            next += ranges[r].endSlot - ranges[r].firstSlot;
-        }
-        for (const Ratio& group : mGroups) mAll += group;
-    }
-
-    const Ratio& all() const { return mAll; }
-
-    // Standard deviation of the groups' ratios over that of all, weighted by pairs.
-    double spread() const
-    {
-        double sum = 0;
-        for (const Ratio& group : mGroups) {
-            const double difference = mAll.value() > 0 ? group.value() / mAll.value() - 1 : 0;
-            sum += group.expected * difference * difference;
-        }
-        return mAll.expected > 0 ? std::sqrt(sum / mAll.expected) : 0;
-    }
-
-private:
-    struct GroupSums {
-        Ratio& group;
-        SlotRange range;
-        const std::uint32_t* counts;
-
-        void cell(std::uint32_t begin, std::uint32_t end, std::uint32_t, float expected)
-        {
-            const std::uint32_t first = std::max(begin, range.firstSlot), last = std::min(end, range.endSlot);
-            for (std::uint32_t slot = first; slot < last; ++slot) {
-                group +=
-                    {static_cast<double>(counts[slot - range.firstSlot]), static_cast<double>(expected), 1};
-            }
-        }
-        void endOfLeaf(std::size_t) {}
-    };
-
-    Ratio mAll;
-    std::vector<Ratio> mGroups;
-};
-
-// First leaf of each node of 2^log2Cells cells, and the end. Leaves of a node stand together.
-std::vector<std::size_t> partsOf(const SparseGridData& grid, int log2Cells)
-{
-    std::vector<std::size_t> begin;
-    const auto node = [&](std::size_t l) {
-        const Vec3i& o = grid.leafOrigins[l];
-        return Vec3i{o[0] >> log2Cells, o[1] >> log2Cells, o[2] >> log2Cells};
-    };
-    for (std::size_t l = 0; l < grid.leafCount(); ++l) {
-        if (l == 0 || node(l) != node(l - 1)) begin.push_back(l);
-    }
-    begin.push_back(grid.leafCount());
-    return begin;
-}
 
 // Shrinks a ratio towards `parent`, which counts as much as kPriorSamples samples.
 double shrunk(const Ratio& own, double parent)
@@ -252,42 +236,63 @@ double shrunk(const Ratio& own, double parent)
     return (own.counted + prior * parent) / (own.expected + prior);
 }
 
-// Counts the samples and corrects every part by the ratio of its own, as far as it has any, and else by that of the part
-// around it. `counted` is what was counted before.
-void correctParts(const SparseGridData& grid, const Samples& samples, const Ratio& counted,
-                  const CancelCheck& cancel, WorkEstimate& estimate)
+// What each sample was counted to have: the mean of its queries. Adds the queries to `countedQueries`.
+std::vector<double> countSamples(const SparseGridData& grid, const std::vector<Sample>& samples,
+                                 const CancelCheck& cancel, std::uint64_t& countedQueries)
 {
-    const std::size_t count = samples.expected.size();
-    std::vector<std::uint32_t> slots(count);
-    for (std::size_t k = 0; k < count; ++k) slots[k] = samples.slotOf(k);
-    const std::vector<std::uint32_t> counts = countQueries(grid, slots, cancel);
-    Ratio all = counted;
-    for (std::size_t k = 0; k < count; ++k) all += ratioOf(samples, k, counts[k]);
+    std::vector<QueryRange> ranges;
+    ranges.reserve(samples.size());
+    for (const Sample& sample : samples) ranges.push_back(sample.queries);
+    const std::vector<std::uint32_t> counts = countQueries(grid, ranges, cancel);
+    countedQueries += counts.size();
+    std::vector<double> means;
+    means.reserve(samples.size());
+    auto count = counts.begin();
+    for (const QueryRange& range : ranges) {
+        const std::uint32_t queries = range.endSlot - range.firstSlot;
+        means.push_back(std::accumulate(count, count + queries, 0.0) / queries);
+        count += queries;
+    }
+    return means;
+}
+
+// Counts the samples and corrects every part by the ratio of its own, as far as it has any, and else by that of the part
+// around it.
+void correctParts(const SparseGridData& grid, const std::vector<std::size_t>& parts,
+                  const std::vector<Sample>& samples, const CancelCheck& cancel, WorkEstimate& estimate)
+{
+    const std::vector<double> counted = countSamples(grid, samples, cancel, estimate.countedQueries);
+    const std::size_t partCount = parts.size() - 1;
+    std::vector<Ratio> own(partCount);
+    Ratio all;
+    for (std::size_t k = 0; k < samples.size(); ++k) {
+        const double weight = samples[k].weight;
+        own[samples[k].part] += {weight * counted[k], weight * static_cast<double>(samples[k].expected), 1};
+    }
+    for (const Ratio& part : own) all += part;
     estimate.correction = shrunk(all, 1);
-    std::vector<double> ratio(grid.leafCount(), estimate.correction);
-    double variance = 0, pairs = 0; // of the parts' pairs, by the scatter of their samples
+    std::vector<double> ratio(partCount, estimate.correction);
     for (const int log2Cells : kPartLog2Cells) {
-        const std::vector<std::size_t> parts = partsOf(grid, log2Cells);
-        variance = pairs = 0;
-        for (std::size_t p = 0; p + 1 < parts.size(); ++p) {
-            const std::size_t first = std::min(count, samples.firstFrom(grid.leaves[parts[p]].firstSlot));
-            const std::size_t end = std::min(count, samples.firstFrom(grid.leaves[parts[p + 1]].firstSlot));
-            Ratio own;
-            for (std::size_t k = first; k < end; ++k) own += ratioOf(samples, k, counts[k]);
-            const double value = shrunk(own, ratio[parts[p]]);
-            for (std::size_t k = first; k < end; ++k) {
-                const double rest = counts[k] - value * static_cast<double>(samples.expected[k]);
-                variance += rest * rest / std::max(own.counted, 1.0);
-            }
-            pairs += own.counted;
-            std::fill(ratio.begin() + static_cast<std::ptrdiff_t>(parts[p]),
-                      ratio.begin() + static_cast<std::ptrdiff_t>(parts[p + 1]), value);
+        for (std::size_t first = 0, end; first < partCount; first = end) {
+            Ratio node;
+            const Vec3i origin = nodeOf(grid, parts[first], log2Cells);
+            for (end = first; end < partCount && nodeOf(grid, parts[end], log2Cells) == origin; ++end)
+                node += own[end];
+            std::fill(ratio.begin() + static_cast<std::ptrdiff_t>(first),
+                      ratio.begin() + static_cast<std::ptrdiff_t>(end), shrunk(node, ratio[first]));
         }
     }
-    for (std::size_t l = 0; l < grid.leafCount(); ++l) estimate.leaves[l].expectedPairs *= ratio[l];
+    double variance = 0; // of the parts' pairs, by the scatter of their samples
+    for (std::size_t k = 0; k < samples.size(); ++k) {
+        const std::uint32_t part = samples[k].part;
+        const double rest = counted[k] - ratio[part] * static_cast<double>(samples[k].expected);
+        variance += std::pow(samples[k].weight * rest, 2) / std::max(own[part].counted, 1.0);
+    }
+    for (std::size_t p = 0; p < partCount; ++p) {
+        for (std::size_t l = parts[p]; l < parts[p + 1]; ++l) estimate.leaves[l].expectedPairs *= ratio[p];
+    }
     estimate.corrected = true;
-    estimate.margin = pairs > 0 ? std::sqrt(variance / pairs) : 1;
-    estimate.countedQueries += count;
+    estimate.margin = all.counted > 0 ? std::sqrt(variance / all.counted) : 1;
 }
 
 void countAll(const SparseGrid& grid, Progress* progress, WorkEstimate& estimate)
@@ -320,43 +325,23 @@ WorkEstimate estimateWork(const SparseGrid& sparseGrid, const EstimateOptions& o
     estimate.leaves.resize(grid.leafCount());
     if (grid.particleCount() == 0) return estimate;
 
-    Samples samples;
-    const std::size_t particles = grid.particleCount();
-    double fraction = options.sampleFraction;
-    if (options.estimator == Estimator::kExpected) {
-        const std::size_t enough = kSamplesEachPart * partsOf(grid, kPartLog2Cells[2]).size();
-        fraction = std::min(fraction, static_cast<double>(enough) / static_cast<double>(particles));
-    }
-    samples.stride =
-        static_cast<std::uint32_t>(std::clamp(std::floor(1 / fraction), 1.0, static_cast<double>(particles)));
-    const std::size_t half = samples.stride / 2;
-    samples.expected.resize(particles > half ? (particles - half - 1) / samples.stride + 1 : 0);
+    const std::vector<std::size_t> parts = partsOf(grid);
+    std::vector<Sample> samples = drawSamples(grid, parts, options);
     const OverlapTable overlap = options.estimator == Estimator::kMonteCarlo
                                      ? OverlapTable::byMonteCarlo(grid.radiusCells, grid.reach,
                                                                   options.monteCarloSamples, options.seed)
                                      : OverlapTable::byQuadrature(grid.radiusCells, grid.reach);
     const Model model(grid, overlap);
+    const std::uint32_t groupSize = options.estimator == Estimator::kExpected ? kGroupSize : 1;
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, estimate.leaves.size(), 64), [&](const auto& range) {
         cancel.check();
-        model.visit(range.begin(), range.end(), LeafSums{estimate.leaves, samples});
+        model.sum(range.begin(), range.end(), groupSize, estimate.leaves, samples);
     });
 
     switch (options.estimator) {
     case Estimator::kExpected:
-        if (options.correctCrowding) {
-            const Pilot pilot(grid, model, cancel);
-            estimate.countedQueries = static_cast<std::uint64_t>(pilot.all().samples);
-            estimate.margin = pilot.spread();
-            if (estimate.margin > kCrowdedSpread) {
-                correctParts(grid, samples, pilot.all(), cancel, estimate);
-            } else {
-                estimate.correction = pilot.all().value();
-                for (Work& leaf : estimate.leaves) leaf.expectedPairs *= estimate.correction;
-            }
-        }
-        break;
     case Estimator::kSampled:
-        correctParts(grid, samples, {}, cancel, estimate);
+        if (!samples.empty()) correctParts(grid, parts, samples, cancel, estimate);
         break;
     case Estimator::kCounted:
         countAll(sparseGrid, options.progress, estimate);

@@ -3,6 +3,7 @@
 
 #include "execute/exact_test.h"
 #include "execute/kernels.h"
+#include "execute/leaves_in_reach-inl.h"
 #include "execute/search_task.h"
 #include "execute/thread_state.h"
 #include "lists/cell_candidates.h"
@@ -46,12 +47,20 @@ public:
     {
     }
 
-    void count(const SlotRange& range, const std::uint64_t* cells, std::uint32_t* counts)
+    void count(const QueryRange& range, std::uint32_t* counts)
     {
         ThreadState& state = mStates.local();
         state.exact = &mExact;
+        std::uint64_t cells[8];
+        markCell(mGrid, range.leaf, range.firstSlot, cells);
         LeafNeighborhood neighborhood;
-        mGrid.topology.neighborhoods({&mGrid.leafOrigins[range.leaf], 1}, &neighborhood);
+        const std::uint32_t reached = leavesInReach(cells, mGrid.reach);
+        if (reached != kOwnLeafAlone)
+            mGrid.topology.neighborhoods({&mGrid.leafOrigins[range.leaf], 1}, &neighborhood);
+        for (std::uint32_t n = 0; n < 27; ++n) {
+            if (!(reached >> n & 1)) neighborhood.leaf[n] = kNoLeaf;
+        }
+        neighborhood.leaf[13] = range.leaf;
         state.sink.slotBase = range.firstSlot;
         state.sink.rowCount = counts;
         mCount(mContext, {range.leaf, range.firstSlot, range.endSlot, neighborhood.leaf, cells},
@@ -68,41 +77,17 @@ private:
 
 } // namespace
 
-std::uint32_t leafOf(const SparseGridData& grid, std::uint32_t slot)
-{
-    const auto next =
-        std::upper_bound(grid.leaves.begin(), grid.leaves.end(), slot,
-                         [](std::uint32_t s, const LeafRecord& leaf) { return s < leaf.firstSlot; });
-    return static_cast<std::uint32_t>(next - grid.leaves.begin() - 1);
-}
-
-std::vector<std::uint32_t> countRanges(const SparseGridData& grid, const std::vector<SlotRange>& ranges,
-                                       const CancelCheck& cancel)
-{
-    std::vector<std::size_t> begin(1, 0);
-    for (const SlotRange& range : ranges) begin.push_back(begin.back() + range.endSlot - range.firstSlot);
-    std::vector<std::uint32_t> counts(begin.back());
-    Counter counter(grid);
-    tbb::parallel_for(std::size_t(0), ranges.size(), [&](std::size_t r) {
-        cancel.check();
-        counter.count(ranges[r], nullptr, counts.data() + begin[r]);
-    });
-    return counts;
-}
-
-std::vector<std::uint32_t> countQueries(const SparseGridData& grid, const std::vector<std::uint32_t>& slots,
+std::vector<std::uint32_t> countQueries(const SparseGridData& grid, const std::vector<QueryRange>& ranges,
                                         const CancelCheck& cancel)
 {
-    std::vector<std::uint32_t> counts(slots.size());
+    std::vector<std::size_t> begin(1, 0);
+    for (const QueryRange& range : ranges) begin.push_back(begin.back() + range.endSlot - range.firstSlot);
+    std::vector<std::uint32_t> counts(begin.back());
     Counter counter(grid);
-    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, slots.size(), 64), [&](const auto& range) {
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, ranges.size(), 64), [&](const auto& part) {
         cancel.check();
-        for (std::size_t k = range.begin(); k < range.end(); ++k) {
-            const std::uint32_t leaf = leafOf(grid, slots[k]);
-            std::uint64_t cells[8];
-            markCell(grid, leaf, slots[k], cells);
-            counter.count({leaf, slots[k], slots[k] + 1}, cells, &counts[k]);
-        }
+        for (std::size_t r = part.begin(); r < part.end(); ++r)
+            counter.count(ranges[r], counts.data() + begin[r]);
     });
     return counts;
 }

@@ -3,27 +3,20 @@
 
 #include "grid/sparse_grid_data.h"
 #include "util/cancel.h"
-#include "vdb_nns/search_options.h"
 
 #include <cstdint>
 #include <vector>
 
 namespace vdb_nns {
 
-// Queries of one leaf.
-struct SlotRange {
+// Consecutive queries of one cell.
+struct QueryRange {
     std::uint32_t leaf, firstSlot, endSlot;
 };
 
-std::uint32_t leafOf(const SparseGridData& grid, std::uint32_t slot);
-
-// Numbers of neighbors of the particles of each range, range after range, in parallel. Throws Cancelled.
-std::vector<std::uint32_t> countRanges(const SparseGridData& grid, const std::vector<SlotRange>& ranges,
-                                       const CancelCheck& cancel);
-
-// Number of neighbors of the particle in each of `slots`, in parallel. Each query by itself: about twice the price of a
-// query of a whole search. Throws Cancelled.
-std::vector<std::uint32_t> countQueries(const SparseGridData& grid, const std::vector<std::uint32_t>& slots,
+// Numbers of neighbors of the queries of each range, range after range, in parallel. Each range by itself: the first of its
+// queries costs several times what a query of a whole search does, the others no more than that. Throws Cancelled.
+std::vector<std::uint32_t> countQueries(const SparseGridData& grid, const std::vector<QueryRange>& ranges,
                                         const CancelCheck& cancel);
 
 } // namespace vdb_nns
