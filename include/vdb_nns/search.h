@@ -12,6 +12,11 @@
 
 namespace vdb_nns {
 
+struct Schedule;
+struct DeviceLimits;
+struct RunOptions;
+struct ScheduleRun;
+
 /// Called once for every finite particle: its number, its neighbors and their world distances (ParticleView::distance),
 /// in cell-visiting order. Called from several threads at once; the spans are valid during the call.
 using NeighborVisitor = std::function<void(std::uint32_t query, Span<const std::uint32_t> neighbors,
@@ -55,6 +60,17 @@ public:
     /// @throws CapacityError before the memory is gone, when the lists cannot fit
     /// @throws InvalidInput, Cancelled
     NeighborLists search(const SparseGrid& grid, const SearchOptions& options = {});
+
+    /// Runs a schedule of makeSchedule() on `devices`, which it was made for, and on TBB workers: the same lists, byte for
+    /// byte, as search() makes, in the schedule's encoding. A block that outgrows its estimate is split and redone; a device
+    /// that refuses memory is asked for less, and what fits no device is run by TBB workers; `report` counts all of that.
+    /// Host memory besides the lists: what the devices hold in their slots, once for staging; for simulated devices once more.
+    /// @throws DeviceError when a device fails, under DeviceFailure::kStop, or is not there
+    /// @throws CapacityError when the lists cannot fit
+    /// @throws InvalidInput for a schedule of another grid; Cancelled
+    NeighborLists search(const SparseGrid& grid, const Schedule& schedule,
+                         const std::vector<DeviceLimits>& devices, const RunOptions& options,
+                         ScheduleRun& report);
 
     /// Hands every query its neighbors without storing lists.
     /// @throws InvalidInput, Cancelled, and what `visitor` throws

@@ -43,6 +43,19 @@ std::vector<Piece> makePieces(const SparseGridData& grid)
     return pieces;
 }
 
+void checkOptions(const SearchOptions& options)
+{
+    if (options.reach < 0 || options.reach > 3) {
+        throw InvalidInput("a reach of " + std::to_string(options.reach) +
+                           " cells is not supported: use 1, 2 or 3, or 0 to have it chosen");
+    }
+    if (options.simd != SimdLevel::kBest &&
+        static_cast<int>(options.simd) > static_cast<int>(bestSimdLevel())) {
+        throw InvalidInput(std::string("this processor has no ") + simdLevelName(options.simd) + ": use " +
+                           simdLevelName(bestSimdLevel()) + " or less");
+    }
+}
+
 CapacityError listsDoNotFit(Encoding encoding, bool counted, std::uint64_t needed, std::uint64_t allowed)
 {
     return CapacityError(std::string(encoding == Encoding::kIndex ? "index lists" : "mask lists") + " need " +

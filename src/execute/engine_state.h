@@ -34,6 +34,9 @@ struct SearchRun {
     SearchTaskFunction rowKernel(Encoding encoding) const;
 };
 
+// Throws InvalidInput.
+void checkOptions(const SearchOptions& options);
+
 CapacityError listsDoNotFit(Encoding encoding, bool counted, std::uint64_t needed, std::uint64_t allowed);
 
 struct EngineState {

@@ -53,6 +53,25 @@ void forEachTask(const SparseGridData& grid, const std::vector<Piece>& pieces, T
     });
 }
 
+// Calls f(task) for each cell of a task with cells, as masks want them: one by itself, with its own slots.
+template <typename F>
+void forEachWantedCell(const BlockView& block, const SearchTask& task, F&& f)
+{
+    const LeafRecord& leaf = block.leaves[task.leaf];
+    const std::uint32_t* cell = block.cellStart + leaf.firstCell;
+    for (int x = 0; x < 8; ++x) {
+        for (std::uint64_t word = leaf.occupancy[x]; word; word &= word - 1, ++cell) {
+            const std::uint32_t begin = std::max(cell[0], task.firstSlot),
+                                end = std::min(cell[1], task.endSlot);
+            const std::uint64_t bit = word & -word;
+            if (!(task.cells[x] & bit) || begin >= end) continue;
+            std::uint64_t alone[8] = {};
+            alone[x] = bit;
+            f(SearchTask{task.leaf, begin, end, task.neighborhood, alone});
+        }
+    }
+}
+
 // Calls f(queries, candidates) for each occupied cell of a leaf that has slots in [first, end): how many of its particles
 // are among them, and the particles of the cells in reach.
 template <typename F>

@@ -2,6 +2,7 @@
 #include "vdb_nns/search.h"
 
 #include "execute/engine_state.h"
+#include "execute/run_schedule.h"
 #include "vdb_nns/error.h"
 
 #include <atomic>
@@ -16,19 +17,6 @@ namespace {
 double now()
 {
     return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
-
-void checkOptions(const SearchOptions& options)
-{
-    if (options.reach < 0 || options.reach > 3) {
-        throw InvalidInput("a reach of " + std::to_string(options.reach) +
-                           " cells is not supported: use 1, 2 or 3, or 0 to have it chosen");
-    }
-    if (options.simd != SimdLevel::kBest &&
-        static_cast<int>(options.simd) > static_cast<int>(bestSimdLevel())) {
-        throw InvalidInput(std::string("this processor has no ") + simdLevelName(options.simd) + ": use " +
-                           simdLevelName(bestSimdLevel()) + " or less");
-    }
 }
 
 } // namespace
@@ -81,6 +69,17 @@ NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& 
     mImpl->lists = result;
     mImpl->statistics.searchSeconds = now() - start;
     return NeighborLists(result);
+}
+
+NeighborLists SearchEngine::search(const SparseGrid& grid, const Schedule& schedule,
+                                   const std::vector<DeviceLimits>& devices, const RunOptions& options,
+                                   ScheduleRun& report)
+{
+    checkOptions(options.search);
+    const double start = now();
+    const NeighborLists lists = runSchedule(*mImpl, grid, schedule, devices, options, report);
+    mImpl->statistics.searchSeconds = now() - start;
+    return lists;
 }
 
 namespace {

@@ -56,8 +56,17 @@ Dispatcher::Turn Dispatcher::giveToCpu(const Item& item)
     return turn;
 }
 
-Dispatcher::Turn Dispatcher::giveToDevice(std::size_t device, const Item& item)
+// To `free` if it fits, else to the first that it fits.
+Dispatcher::Turn Dispatcher::giveToDevices(const Item& item, std::size_t free)
 {
+    std::uint64_t bytes = item.bytes.total();
+    if (!item.isExact)
+        bytes += static_cast<std::uint64_t>((mRatio - 1) * static_cast<double>(item.bytes.down));
+    std::size_t device = free;
+    for (std::size_t d = 0; d < mClocks.size() && bytes > mBudgets[device]; ++d) {
+        if (!mRetired[d]) device = d;
+    }
+    if (bytes > mBudgets[device]) return {item.block, kTooLarge, 0, 0};
     const double start = mClocks[device].begin(item.tests - item.outsideTests, item.bytes.up);
     addCpuTests(item.outsideTests);
     return {item.block, static_cast<int>(device), start, 0};
@@ -73,35 +82,25 @@ std::optional<Dispatcher::Turn> Dispatcher::next()
         if (!free || mClocks[d].ready() < mClocks[*free].ready()) free = d;
         devicesDone = std::max(devicesDone, mClocks[d].ready());
     }
-    const auto deviceFor = [&](const Item& item) {
-        std::optional<std::size_t> device = free;
-        for (std::size_t d = 0; d < mClocks.size() && device && item.bytes.total() > mBudgets[*device]; ++d) {
-            if (!mRetired[d]) device = d;
-        }
-        return device && item.bytes.total() <= mBudgets[*device] ? device : std::nullopt;
-    };
     if (!mAgain.empty()) {
         const Item item = mAgain.back();
         mAgain.pop_back();
-        const std::optional<std::size_t> device = deviceFor(item);
-        return device ? giveToDevice(*device, item) : giveToCpu(item);
+        return free ? giveToDevices(item, *free) : giveToCpu(item);
     }
     if (mItems.empty()) return std::nullopt;
-    const Item& small = mItems.back();
+    const Item small = mItems.back();
     const double cpuDone = mCpuDone + static_cast<double>(small.tests) / mOptions.cpuTestsPerSecond;
     const bool cpuEndsSooner =
         mOptions.useCpu && free && mCpuDone <= mClocks[*free].ready() && cpuDone <= devicesDone + mLeft;
     if (cpuEndsSooner || !free) {
-        const Item item = small;
         mItems.pop_back();
-        mLeft -= shareOf(item);
-        return giveToCpu(item);
+        mLeft -= shareOf(small);
+        return giveToCpu(small);
     }
-    const Item item = mItems.front();
+    const Item large = mItems.front();
     mItems.pop_front();
-    mLeft -= shareOf(item);
-    const std::optional<std::size_t> device = deviceFor(item);
-    return device ? giveToDevice(*device, item) : giveToCpu(item);
+    mLeft -= shareOf(large);
+    return giveToDevices(large, *free);
 }
 
 double Dispatcher::finish(int device, std::uint64_t bytesDown)

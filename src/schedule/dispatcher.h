@@ -20,10 +20,12 @@ public:
         std::uint64_t tests;
         std::uint64_t outsideTests; // of those, left to TBB workers when a device takes the block
         BlockBytes bytes;
+        bool isExact = true; // the bytes are known, not estimated
     };
+    static constexpr int kTooLarge = -2;
     struct Turn {
         std::size_t block;
-        int executor; // device, or Block::kOnCpu
+        int executor; // device, Block::kOnCpu, or kTooLarge: it fits no device now, nobody has it, split it
         double startSeconds;
         double endSeconds; // on the CPU only; a device's is known once it has finished
     };
@@ -32,10 +34,12 @@ public:
     Dispatcher(const std::vector<DeviceLimits>& devices, std::vector<std::uint64_t> budgets,
                const ScheduleOptions& options);
 
-    // Blocks to hand out; each fits a device. Called once.
+    // Blocks to hand out. Called once.
     void setItems(std::vector<Item> items);
-    // A block to be taken before all others, by a device that it fits.
+    // A block to be taken before all others.
     void addFirst(const Item& item) { mAgain.push_back(item); }
+    // Estimated downloads have turned out to be so many times as large.
+    void correct(double ratio) { mRatio = ratio; }
 
     // No device that is in use may be full().
     std::optional<Turn> next();
@@ -56,7 +60,7 @@ public:
     double doneSeconds() const; // of what is finished
 
 private:
-    Turn giveToDevice(std::size_t device, const Item& item);
+    Turn giveToDevices(const Item& item, std::size_t free);
     Turn giveToCpu(const Item& item);
     double shareOf(const Item& item) const;
 
@@ -67,6 +71,7 @@ private:
     std::vector<bool> mRetired;
     std::deque<Item> mItems; // largest first
     std::vector<Item> mAgain;
+    double mRatio = 1;
     double mLeft = 0;    // seconds of what is not handed out, by the devices together
     double mCpuDone = 0; // when the CPU's work so far is done
 };

@@ -34,6 +34,23 @@ std::uint64_t spreadY(std::uint64_t word, int dy, int reach)
     return out;
 }
 
+// Unites sets of the same leaf; ascending by leaf.
+void merge(std::vector<CellSet>& sets)
+{
+    std::sort(sets.begin(), sets.end(), [](const CellSet& a, const CellSet& b) { return a.leaf < b.leaf; });
+    std::size_t out = 0;
+    for (std::size_t i = 0; i < sets.size(); ++i) {
+        if (out > 0 && sets[out - 1].leaf == sets[i].leaf) {
+            for (int x = 0; x < 8; ++x) sets[out - 1].cells[x] |= sets[i].cells[x];
+        } else {
+            sets[out++] = sets[i];
+        }
+    }
+    sets.resize(out);
+}
+
+} // namespace
+
 std::uint64_t particlesIn(const SparseGridData& grid, const CellSet& set)
 {
     const LeafRecord& leaf = grid.leaves[set.leaf];
@@ -54,23 +71,6 @@ std::uint64_t cellsIn(const CellSet& set)
         cells += static_cast<std::uint64_t>(__builtin_popcountll(word));
     return cells;
 }
-
-// Unites sets of the same leaf; ascending by leaf.
-void merge(std::vector<CellSet>& sets)
-{
-    std::sort(sets.begin(), sets.end(), [](const CellSet& a, const CellSet& b) { return a.leaf < b.leaf; });
-    std::size_t out = 0;
-    for (std::size_t i = 0; i < sets.size(); ++i) {
-        if (out > 0 && sets[out - 1].leaf == sets[i].leaf) {
-            for (int x = 0; x < 8; ++x) sets[out - 1].cells[x] |= sets[i].cells[x];
-        } else {
-            sets[out++] = sets[i];
-        }
-    }
-    sets.resize(out);
-}
-
-} // namespace
 
 void cellsInReach(const std::uint64_t* cells, int dx, int dy, int dz, int reach, std::uint64_t* out)
 {

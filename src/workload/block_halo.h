@@ -15,6 +15,9 @@ struct CellSet {
     std::uint64_t cells[8];
 };
 
+std::uint64_t particlesIn(const SparseGridData& grid, const CellSet& set);
+std::uint64_t cellsIn(const CellSet& set);
+
 struct BlockHalo {
     std::vector<CellSet>
         halo; // by leaf: occupied cells outside the block within reach of an occupied cell inside

@@ -305,6 +305,7 @@ DeviceRequest deviceRequest(const DeviceFlags& flags, int threads)
     const std::uint64_t count = simulatedDevices(flags.device);
     if (count == 0) checkUnused(flags);
     request.devices.assign(count, device);
+    if (flags.device == "auto") request.onFailure = DeviceFailure::kUseCpu;
     return request;
 }
 

@@ -1,7 +1,7 @@
 // Flags that say on which devices a search runs, how its work is estimated and how it is cut into blocks.
 #pragma once
 
-#include "vdb_nns/schedule.h"
+#include "vdb_nns/executor.h"
 
 #include <CLI/CLI.hpp>
 
@@ -21,6 +21,8 @@ struct DeviceRequest {
     std::vector<DeviceLimits> devices; ///< none: the CPU alone
     EstimateOptions estimate;
     ScheduleOptions schedule;
+    DeviceFailure onFailure =
+        DeviceFailure::kStop;     ///< only where nobody asked for the device may the CPU take over
     double auxNeighbors = 0;      ///< MemoryModel::auxNeighbors
     std::optional<double> margin; ///< MemoryModel::margin; none: from the error that the estimate measured
 };

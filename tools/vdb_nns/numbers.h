@@ -1,9 +1,10 @@
-// Two small formulas that commands share.
+// Small formulas that commands share.
 #pragma once
 
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 namespace vdb_nns::cli {
@@ -14,6 +15,17 @@ inline double median(std::vector<double> values)
     std::sort(values.begin(), values.end());
     const std::size_t n = values.size();
     return n % 2 == 1 ? values[n / 2] : (values[n / 2 - 1] + values[n / 2]) / 2;
+}
+
+/// The first of ascending (value, weight) at which the weights sum to `weight`; 0 of none.
+inline double weightedQuantile(const std::vector<std::pair<double, double>>& sorted, double weight)
+{
+    double sum = 0;
+    for (const auto& [value, part] : sorted) {
+        sum += part;
+        if (sum >= weight) return value;
+    }
+    return sorted.empty() ? 0 : sorted.back().first;
 }
 
 /// The finaliser of SplitMix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators, 2014).

@@ -1,7 +1,7 @@
 // vdb_nns plan: a dry run of a search: grid, estimate, workload tree and schedule, drawn and reported.
 #include "cli_options.h"
 #include "command.h"
-#include "device_options.h"
+#include "device_plan.h"
 #include "exit_codes.h"
 #include "machine.h"
 #include "plan_svg.h"
@@ -15,7 +15,6 @@
 #include <algorithm>
 #include <cstdio>
 #include <filesystem>
-#include <limits>
 #include <memory>
 
 namespace vdb_nns::cli {
@@ -67,70 +66,6 @@ void checkFinite(const PlanFlags& flags, const PointFileInfo& info)
     if (flags.nonfinite != "fail" || info.nonfinite == 0) return;
     throw CheckFailed(std::to_string(info.nonfinite) + " of " + std::to_string(info.points) +
                       " points have a NaN or infinite coordinate; --nonfinite skip leaves them out");
-}
-
-BlockBytes bytesAtOnce(const SparseGrid& grid, const WorkEstimate& estimate, const MemoryModel& model)
-{
-    WorkloadNode everything;
-    everything.endLeaf = static_cast<std::uint32_t>(grid.leafCount());
-    everything.occupiedCells = grid.cellCount();
-    everything.work = estimate.total;
-    return blockBytes(everything, model);
-}
-
-std::uint64_t levelCount(const WorkloadTree& tree)
-{
-    std::uint64_t levels = 0; // bit k: there are nodes of 2^k cells
-    for (const WorkloadNode& node : tree.nodes) levels |= std::uint64_t(1) << node.log2Cells;
-    return static_cast<std::uint64_t>(__builtin_popcountll(levels));
-}
-
-void findBounds(const SparseGrid& grid, PlanReport& plan)
-{
-    constexpr std::int32_t kLeafCells = 8;
-    for (std::uint64_t l = 0; l < grid.leafCount(); ++l) {
-        const Vec3i origin = grid.leaf(l).origin;
-        for (std::size_t k = 0; k < 3; ++k) {
-            plan.lowCell[k] = l == 0 ? origin[k] : std::min(plan.lowCell[k], origin[k]);
-            plan.endCell[k] =
-                l == 0 ? origin[k] + kLeafCells : std::max(plan.endCell[k], origin[k] + kLeafCells);
-        }
-    }
-}
-
-// Estimate, tree and schedule.
-PlanReport makePlan(const SparseGrid& grid, DeviceRequest request, Encoding encoding,
-                    ProgressPrinter& progress, SecondsReport& seconds)
-{
-    progress.begin("estimate", 0.8, 0.9);
-    const Stopwatch estimateWatch;
-    request.estimate.progress = &progress;
-    const WorkEstimate estimate = estimateWork(grid, request.estimate);
-    seconds.estimate = estimateWatch.seconds();
-
-    progress.begin("plan", 0.9, 1);
-    const Stopwatch planWatch;
-    PlanReport plan;
-    WorkloadTreeOptions treeOptions;
-    treeOptions.model = memoryModel(request, encoding, estimate);
-    plan.everything = bytesAtOnce(grid, estimate, treeOptions.model);
-    treeOptions.nodeBytes =
-        nodeBytesFor(grid, estimate, treeOptions.model, request.devices, request.schedule);
-    treeOptions.blockLog2Cells = request.devices.empty() ? 0 : request.schedule.blockLog2Cells;
-    treeOptions.progress = &progress;
-    const WorkloadTree tree = buildWorkloadTree(grid, estimate, treeOptions);
-    plan.schedule = makeSchedule(grid, tree, request.devices, request.schedule);
-    seconds.plan = planWatch.seconds();
-
-    plan.devices = std::move(request.devices);
-    plan.estimator = estimate.estimator;
-    plan.total = estimate.total;
-    plan.correction = estimate.correction;
-    plan.countedQueries = estimate.countedQueries;
-    plan.treeNodes = tree.nodes.size();
-    plan.treeLevels = levelCount(tree);
-    findBounds(grid, plan);
-    return plan;
 }
 
 void fillReport(const SparseGrid& grid, const SearchOptions& options, SearchReport& report)
@@ -185,7 +120,7 @@ int planFile(const PlanFlags& flags, SearchOptions options, const DeviceRequest&
     SearchEngine engine;
     const SparseGrid grid = engine.buildGrid(file.view(), report.radius, options);
     report.seconds.grid = report.seconds.firstGrid = gridWatch.seconds();
-    report.plan = makePlan(grid, request, options.encoding, progress, report.seconds);
+    report.plan = makePlan(grid, request, options.encoding, {progress, 0.8, 1}, report.seconds);
     fillReport(grid, options, report);
     throwIfStopped();
     deliver(flags, grid, report);

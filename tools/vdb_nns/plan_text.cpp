@@ -123,4 +123,41 @@ std::string planReportText(const SearchReport& report)
     return text;
 }
 
+std::string runText(const SearchReport& report)
+{
+    const PlanReport& plan = *report.plan;
+    const ScheduleRun& run = *report.run;
+    const double particles = static_cast<double>(plan.total.particles);
+    const BlockErrors errors = blockErrors(plan.schedule, run);
+    std::string text = line("estimate", estimateLine(plan));
+    text += line(
+        "", format("off by %+.2f %% in all; a block by %.2f %% (median), %.2f %% (99th percentile)",
+                   100 * (share(plan.total.expectedPairs, static_cast<double>(report.result->pairs)) - 1),
+                   100 * errors.p50, 100 * errors.p99));
+    text += line("blocks", blocksLine(plan));
+    for (std::size_t d = 0; d < run.devices.size(); ++d) {
+        const DeviceRun& device = run.devices[d];
+        text += line(executorName(plan.devices, static_cast<int>(d)).c_str(),
+                     plan.devices[d].name + ", " + countText(device.blocks) + " blocks, " +
+                         countText(device.particles) + " particles (" +
+                         percent(static_cast<double>(device.particles), particles) + "), peak " +
+                         bytesText(device.peakBytes) + " of " + bytesText(plan.devices[d].memoryBytes));
+        if (!device.failure.empty()) text += line("", "failed: " + device.failure);
+    }
+    text += line("cpu", countText(run.cpuParticles) + " particles (" +
+                            percent(static_cast<double>(run.cpuParticles), particles) + ")");
+    if (run.overflows + run.retries + run.splits + run.halvings > 0) {
+        text +=
+            line("redone", countText(run.overflows) + " blocks overflowed, " + countText(run.retries) +
+                               " runs repeated, " + countText(run.splits) +
+                               " blocks split before, memory halved " + countText(run.halvings) + " times");
+    }
+    if (run.tooLargeQueries > 0) {
+        text += line("", countText(run.tooLargeQueries) + " particles fit no device with their candidates");
+    }
+    return text + line("model", format("%.6f s on these devices, %.2f times the lower bound of %.6f s",
+                                       run.seconds, share(run.seconds, plan.schedule.lowerBoundSeconds),
+                                       plan.schedule.lowerBoundSeconds));
+}
+
 } // namespace vdb_nns::cli

@@ -1,6 +1,7 @@
 #include "report.h"
 
 #include "machine.h"
+#include "numbers.h"
 #include "text_file.h"
 #include "vdb_nns/version.h"
 
@@ -9,6 +10,7 @@
 
 #include <algorithm>
 #include <charconv>
+#include <cmath>
 #include <cstdarg>
 #include <cstdio>
 
@@ -61,18 +63,25 @@ Json devicesJson(const SearchReport& report)
     std::uint64_t cpuBlocks = schedule.blocks.size();
     for (std::size_t d = 0; d < schedule.devices.size(); ++d) {
         const DeviceLimits& limits = report.plan->devices[d];
-        const DevicePlan& plan = schedule.devices[d];
+        // What was done, or else what is predicted.
+        DeviceRun done{schedule.devices[d].peakBytes,
+                       schedule.devices[d].blocks,
+                       schedule.devices[d].particles,
+                       schedule.devices[d].busySeconds,
+                       {}};
+        if (report.run) done = report.run->devices[d];
         Json device = deviceJson(deviceKindName(limits.kind), limits.name, limits.memoryBytes);
-        device["peak_bytes"] = plan.peakBytes;
-        device["blocks"] = plan.blocks;
-        device["particles"] = plan.particles;
-        device["busy_seconds"] = plan.busySeconds;
+        device["peak_bytes"] = done.peakBytes;
+        device["blocks"] = done.blocks;
+        device["particles"] = done.particles;
+        device["busy_seconds"] = done.busySeconds;
+        if (!done.failure.empty()) device["failure"] = done.failure;
         list.push_back(device);
-        cpuBlocks -= plan.blocks;
+        cpuBlocks -= schedule.devices[d].blocks;
     }
-    cpu["blocks"] = cpuBlocks;
-    cpu["particles"] = schedule.cpuParticles;
-    cpu["busy_seconds"] = schedule.cpuBusySeconds;
+    cpu["blocks"] = report.run ? report.run->cpuBlocks : cpuBlocks;
+    cpu["particles"] = report.run ? report.run->cpuParticles : schedule.cpuParticles;
+    cpu["busy_seconds"] = report.run ? report.run->cpuBusySeconds : schedule.cpuBusySeconds;
     list.push_back(cpu);
     return list;
 }
@@ -143,7 +152,8 @@ Json planJson(const SearchReport& report)
     plan["tree_levels"] = report.plan->treeLevels;
     plan["predicted_seconds"] = schedule.predictedSeconds;
     plan["lower_bound_seconds"] = schedule.lowerBoundSeconds;
-    plan["blocks_list"] = blocksJson(*report.plan);
+    if (report.run) plan["model_seconds"] = report.run->seconds;
+    if (!report.run) plan["blocks_list"] = blocksJson(*report.plan);
     return plan;
 }
 
@@ -160,13 +170,28 @@ Json resultJson(const SearchReport& report)
     return result;
 }
 
-Json estimateJson()
+Json estimateJson(const SearchReport& report)
 {
     Json estimate;
-    for (const char* key :
-         {"actual_pairs", "relative_error", "block_error_p50", "block_error_p99", "overflows", "retries"}) {
+    for (const char* key : {"actual_pairs", "relative_error", "block_error_p50", "block_error_p99",
+                            "overflows", "retries", "splits", "halvings", "too_large_queries"}) {
         estimate[key] = nullptr;
     }
+    if (!report.run) return estimate;
+    const ScheduleRun& run = *report.run;
+    estimate["actual_pairs"] = report.result->pairs;
+    if (report.result->pairs > 0) {
+        const double pairs = static_cast<double>(report.result->pairs);
+        const BlockErrors errors = blockErrors(report.plan->schedule, run);
+        estimate["relative_error"] = report.plan->total.expectedPairs / pairs - 1;
+        estimate["block_error_p50"] = errors.p50;
+        estimate["block_error_p99"] = errors.p99;
+    }
+    estimate["overflows"] = run.overflows;
+    estimate["retries"] = run.retries;
+    estimate["splits"] = run.splits;
+    estimate["halvings"] = run.halvings;
+    estimate["too_large_queries"] = run.tooLargeQueries;
     return estimate;
 }
 
@@ -292,6 +317,23 @@ std::string executorName(const std::vector<DeviceLimits>& devices, int executor)
     return kind + ":" + std::to_string(executor);
 }
 
+BlockErrors blockErrors(const Schedule& schedule, const ScheduleRun& run)
+{
+    constexpr double kFewestPairs = 1e4;
+    std::vector<std::pair<double, double>> errors; // and pairs
+    double expected = 0, found = 0, all = 0;
+    for (std::size_t b = 0; b < schedule.blocks.size(); ++b) {
+        expected += schedule.blocks[b].work.expectedPairs;
+        found += static_cast<double>(run.blockPairs[b]);
+        if (found <= 0 || (found < kFewestPairs && b + 1 < schedule.blocks.size())) continue;
+        errors.emplace_back(std::fabs(expected - found) / found, found);
+        all += found;
+        expected = found = 0;
+    }
+    std::sort(errors.begin(), errors.end());
+    return {weightedQuantile(errors, 0.5 * all), weightedQuantile(errors, 0.99 * all)};
+}
+
 Vec3d radiusInVoxels(const Matrix3& linear, double radius)
 {
     const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> matrix(linear[0].data());
@@ -335,7 +377,7 @@ std::string searchReportJson(const SearchReport& report)
     json["devices"] = devices;
     json["plan"] = planJson(report);
     json["result"] = resultJson(report);
-    json["estimate"] = estimateJson();
+    json["estimate"] = estimateJson(report);
     json["memory"] = {{"peak_rss_bytes", report.peakBytes},
                       {"grid_bytes", report.gridBytes},
                       {"list_bytes", report.listBytes},
@@ -361,6 +403,7 @@ std::string searchReportText(const SearchReport& report)
     text += line("lists", std::string(encodingName(report.encoding)) + ", " + bytesText(report.listBytes));
     text += line("memory", "grid " + bytesText(report.gridBytes) + ", peak " + bytesText(report.peakBytes));
     if (report.checksum) text += line("checksum", checksumText(*report.checksum));
+    if (report.run) text += runText(report);
     const double nanoseconds = report.points > 0 ? 1e9 * (seconds.grid + seconds.search.value_or(0)) /
                                                        static_cast<double>(report.points)
                                                  : 0;

@@ -1,6 +1,7 @@
 // What a search or a plan did, as the JSON report and as the summary on stdout. Plain data and functions to text.
 #pragma once
 
+#include "vdb_nns/executor.h"
 #include "vdb_nns/neighbor_lists.h"
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/schedule.h"
@@ -55,6 +56,7 @@ struct SearchReport {
     std::uint64_t candidateTests = 0, doublePairs = 0, exactPairs = 0;
     std::string simd;
     std::optional<PlanReport> plan;       ///< empty where nothing was planned
+    std::optional<ScheduleRun> run;       ///< empty where no schedule was run
     std::optional<ListStatistics> result; ///< empty for a dry run
     std::optional<std::uint64_t> checksum;
     std::uint64_t peakBytes = 0;
@@ -69,7 +71,16 @@ void fillGridReport(const SparseGrid& grid, const SearchOptions& options, Search
 std::string searchReportJson(const SearchReport& report);
 /// Aligned lines for people.
 std::string searchReportText(const SearchReport& report);
-std::string planReportText(const SearchReport& report); ///< of a report with a plan; in plan_text.cpp
+// In plan_text.cpp: of a report with a plan, and what a search that followed one adds to its summary.
+std::string planReportText(const SearchReport& report);
+std::string runText(const SearchReport& report);
+
+/// How far the pairs expected in a schedule's blocks were from those found.
+struct BlockErrors {
+    double p50 = 0,
+           p99 = 0; ///< of |expected - found| / found, weighted by pairs; blocks under 10^4 pairs pooled
+};
+BlockErrors blockErrors(const Schedule& schedule, const ScheduleRun& run);
 
 /// Edge of a block in cells; of the block of everything, that of the box around the occupied leaves.
 std::int64_t edgeCells(const Block& block, const PlanReport& plan);

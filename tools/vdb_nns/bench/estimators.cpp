@@ -54,16 +54,6 @@ std::vector<BlockPairs> blocksOf(const SparseGrid& grid, const WorkEstimate& tru
     return blocks;
 }
 
-double quantile(const std::vector<std::pair<double, double>>& sorted, double weight)
-{
-    double sum = 0;
-    for (const auto& [error, pairs] : sorted) {
-        sum += pairs;
-        if (sum >= weight) return error;
-    }
-    return sorted.empty() ? 0 : sorted.back().first;
-}
-
 void judge(const std::vector<BlockPairs>& blocks, EstimatorResult& result)
 {
     std::vector<std::pair<double, double>> errors;
@@ -83,8 +73,8 @@ void judge(const std::vector<BlockPairs>& blocks, EstimatorResult& result)
     if (truth <= 0) return;
     result.bias = expected / truth - 1;
     result.rmse = std::sqrt(square / truth);
-    result.p50 = quantile(errors, 0.5 * truth);
-    result.p99 = quantile(errors, 0.99 * truth);
+    result.p50 = weightedQuantile(errors, 0.5 * truth);
+    result.p99 = weightedQuantile(errors, 0.99 * truth);
     result.most = errors.back().first;
     result.overflowRate = overflows / truth;
     result.reservedOverUsed = reserved / used;

@@ -1,0 +1,690 @@
+// See run_schedule.h. One thread decides, in the virtual time of schedule/dispatcher.h, who takes which block; the work
+// itself is jobs on the TBB arena. A device has as many blocks in flight as slots, and the next decision about it waits for
+// its oldest: so decisions do not depend on how fast this machine is.
+#include "execute/run_schedule.h"
+
+#include "execute/block_image.h"
+#include "execute/job_queue.h"
+#include "execute/simulated_device.h"
+#include "schedule/dispatcher.h"
+#include "vdb_nns/error.h"
+#include "workload/block_halo.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cstring>
+#include <deque>
+#include <iterator>
+#include <mutex>
+#include <numeric>
+#include <optional>
+#include <string>
+#include <utility>
+
+namespace vdb_nns {
+
+namespace {
+
+constexpr std::uint32_t kFewestQueries = 32; // of a part of a leaf: a warp
+constexpr int kAnyLeaves = 3;                // for haloOf(): any range of leaves, not a cube
+
+// What is left of a block of the schedule: all of it, or a part after a split.
+struct RunBlock {
+    std::size_t block; // of the schedule
+    Dispatcher::Item item;
+    BlockPart part;
+    int log2Cells;
+    bool withHalo;
+    bool isStaged = false; // the part's halo is made, and its boundary region handed to TBB workers
+    double expectedPairs;
+
+    std::uint64_t queries() const { return part.endSlot - part.firstSlot; }
+};
+
+// Memory for the rows of blocks, in large pieces.
+class RowStore {
+public:
+    explicit RowStore(ChunkPool& pool) : mPool(pool) {}
+
+    // Throws ChunkPool::Exhausted.
+    std::uint32_t* take(std::uint64_t bytes)
+    {
+        const std::uint64_t entries = bytes / sizeof(std::uint32_t);
+        const std::lock_guard<std::mutex> lock(mMutex);
+        if (static_cast<std::uint64_t>(mEnd - mNext) < entries) {
+            std::size_t taken = 0;
+            mNext = static_cast<std::uint32_t*>(mPool.take(bytes, taken));
+            mEnd = mNext + taken / sizeof(std::uint32_t);
+        }
+        mNext += entries;
+        return mNext - entries;
+    }
+
+private:
+    ChunkPool& mPool;
+    std::mutex mMutex;
+    std::uint32_t *mNext = nullptr, *mEnd = nullptr;
+};
+
+// A block on a device.
+struct Flight {
+    RunBlock block;
+    std::size_t slot;
+    std::atomic<bool> ended{false};
+    ResultHead head{};
+    std::uint64_t bytesDown = 0, particles = 0;
+    bool overflowed = false;
+    std::vector<std::uint32_t> counts; // of its queries, after an overflow
+    std::string failure;
+};
+
+// Neighbors of queries, by slot of the grid, where they are known.
+struct Counts {
+    const std::uint32_t* count = nullptr;
+    std::uint32_t firstSlot = 0;
+
+    std::uint64_t sum(std::uint32_t begin, std::uint32_t end) const
+    {
+        return std::accumulate(count + (begin - firstSlot), count + (end - firstSlot), std::uint64_t(0));
+    }
+};
+
+struct Slot {
+    std::byte *device, *staging;
+};
+
+struct Executor {
+    std::unique_ptr<BlockDevice> device;
+    std::vector<Slot> slots;
+    std::uint64_t slotBytes = 0;
+    std::size_t begun = 0;
+    std::deque<std::unique_ptr<Flight>> flights; // oldest first
+};
+
+class ScheduleRunner {
+public:
+    ScheduleRunner(EngineState& engine, const SearchRun& run, const Schedule& schedule,
+                   const RunOptions& options, NeighborListsData& lists, ChunkPool& pool, ScheduleRun& report)
+        : mEngine(engine),
+          mRun(run),
+          mSchedule(schedule),
+          mOptions(options),
+          mEncoding(schedule.model.encoding),
+          mLists(lists),
+          mPool(pool),
+          mReport(report),
+          mRows(pool),
+          mPairs(schedule.blocks.size())
+    {
+    }
+
+    void execute(const std::vector<DeviceLimits>& devices, const DeviceMaker& makeDevice);
+
+private:
+    void makeItems();
+    void openDevices(const DeviceMaker& makeDevice);
+    void allocateSlots(std::size_t device);
+    void handOut();
+
+    void startOnCpu(const RunBlock& block);
+    void startOnDevice(int device, RunBlock block);
+    void settleOldest(int device);
+    void learn(const Flight& flight);
+    void split(const RunBlock& whole, const Counts& counts);
+    RunBlock partOf(const RunBlock& whole, std::uint32_t firstLeaf, std::uint32_t endLeaf,
+                    std::uint32_t firstSlot, std::uint32_t endSlot, const Counts& counts) const;
+    void again(RunBlock block);
+
+    // Jobs.
+    void runPieces(std::size_t block, std::size_t first, std::size_t end, const BlockPart& part);
+    void runBoundaryLeaf(std::size_t block, const CellSet& cells, std::uint32_t firstSlot,
+                         std::uint32_t endSlot);
+    void runTask(std::size_t block, const SearchTask& task);
+    void stage(RunBlock& block);
+    void runFlight(Executor& executor, Flight& flight);
+    void collect(Flight& flight, const ResultLayout& layout, const std::byte* result);
+
+    EngineState& mEngine;
+    const SearchRun& mRun;
+    const Schedule& mSchedule;
+    const RunOptions& mOptions;
+    const Encoding mEncoding;
+    NeighborListsData& mLists;
+    ChunkPool& mPool;
+    ScheduleRun& mReport;
+    RowStore mRows;
+    std::vector<DeviceLimits> mLimits;   // with the slots that there are
+    std::vector<std::uint64_t> mBudgets; // most bytes of a block, by device
+    std::vector<Executor> mExecutors;
+    std::vector<RunBlock> mBlocks; // by Item::block; parts of split blocks are added
+    std::optional<Dispatcher> mDispatcher;
+    std::vector<std::atomic<std::uint64_t>> mPairs; // by block of the schedule
+    std::atomic<std::uint64_t> mCpuParticles{0};
+    std::uint64_t mDeviceParticles = 0;          // collected
+    double mActualPairs = 0, mExpectedPairs = 0; // of blocks that a device is done with
+    JobQueue mJobs; // last: its jobs use all of the above, and its destructor waits for them
+};
+
+void ScheduleRunner::execute(const std::vector<DeviceLimits>& devices, const DeviceMaker& makeDevice)
+{
+    mLimits = devices;
+    for (const DeviceLimits& limits : devices) {
+        mBudgets.push_back(mSchedule.inCore ? limits.memoryBytes : blockBudget(limits));
+    }
+    mReport = {};
+    mReport.devices.resize(devices.size());
+    makeItems();
+    openDevices(makeDevice);
+    handOut();
+    mJobs.runAll();
+    for (std::size_t d = 0; d < mExecutors.size(); ++d) {
+        mReport.devices[d].busySeconds = mDispatcher->deviceSeconds(static_cast<int>(d));
+        if (mExecutors[d].device) mReport.devices[d].peakBytes = mExecutors[d].device->peakBytes();
+    }
+    mReport.cpuParticles = mCpuParticles;
+    mReport.cpuBusySeconds = mDispatcher->cpuSeconds();
+    mReport.seconds = mDispatcher->doneSeconds();
+    mReport.blockPairs.assign(mPairs.begin(), mPairs.end());
+}
+
+void ScheduleRunner::makeItems()
+{
+    const SparseGridData& grid = mRun.grid;
+    std::uint64_t next = 0; // slot that the next block begins with
+    for (std::size_t b = 0; b < mSchedule.blocks.size(); ++b) {
+        const Block& planned = mSchedule.blocks[b];
+        RunBlock block{};
+        block.block = b;
+        block.part.firstLeaf = planned.firstLeaf;
+        block.part.endLeaf = planned.endLeaf;
+        block.part.firstSlot = static_cast<std::uint32_t>(planned.firstSlot);
+        block.part.endSlot = static_cast<std::uint32_t>(planned.endSlot);
+        block.log2Cells = planned.log2Cells;
+        block.withHalo = planned.withHalo;
+        block.expectedPairs = planned.work.expectedPairs;
+        block.item = {b, planned.work.candidateTests, 0, planned.bytes, mEncoding != Encoding::kIndex};
+        if (!planned.withHalo && planned.work.particles > 0) {
+            block.item.outsideTests =
+                static_cast<std::uint64_t>(static_cast<double>(planned.halo.boundaryQueries) /
+                                           static_cast<double>(planned.work.particles) *
+                                           static_cast<double>(planned.work.candidateTests));
+        }
+        if (planned.firstSlot != next || planned.endSlot <= planned.firstSlot ||
+            planned.endLeaf > grid.leafCount() || planned.firstLeaf >= planned.endLeaf ||
+            planned.firstSlot < grid.leaves[planned.firstLeaf].firstSlot ||
+            planned.endSlot > grid.leaves[planned.endLeaf].firstSlot) {
+            throw InvalidInput("block " + std::to_string(b) + " of the schedule is not of this grid");
+        }
+        next = planned.endSlot;
+        mBlocks.push_back(std::move(block));
+    }
+    if (next != grid.particleCount()) {
+        throw InvalidInput("a schedule of " + std::to_string(next) + " queries is not of a grid with " +
+                           std::to_string(grid.particleCount()) + " particles");
+    }
+    if (mSchedule.devices.size() != mLimits.size()) {
+        throw InvalidInput("a schedule for " + std::to_string(mSchedule.devices.size()) +
+                           " devices cannot be run on " + std::to_string(mLimits.size()));
+    }
+}
+
+void ScheduleRunner::openDevices(const DeviceMaker& makeDevice)
+{
+    std::vector<std::uint64_t> budgets;
+    mExecutors.resize(mLimits.size());
+    for (std::size_t d = 0; d < mLimits.size(); ++d) {
+        mExecutors[d].device = makeDevice(mLimits[d], mRun, mEngine.states);
+        allocateSlots(d);
+        mLimits[d].slots = std::max(1, static_cast<int>(mExecutors[d].slots.size()));
+        budgets.push_back(mExecutors[d].slotBytes);
+    }
+    ScheduleOptions options = mOptions.schedule;
+    options.useCpu = options.useCpu && !mSchedule.inCore;
+    mDispatcher.emplace(mLimits, budgets, options);
+    for (std::size_t d = 0; d < mExecutors.size(); ++d) {
+        if (mExecutors[d].slots.empty()) mDispatcher->retire(static_cast<int>(d));
+    }
+}
+
+// As large as the largest block of the schedule that may go there; half of it, and half of that, where the device refuses.
+void ScheduleRunner::allocateSlots(std::size_t device)
+{
+    constexpr std::uint64_t kLeastBytes = 1024;
+    const DeviceLimits& limits = mLimits[device];
+    Executor& executor = mExecutors[device];
+    std::uint64_t bytes = 0;
+    std::size_t fitting = 0;
+    for (const RunBlock& block : mBlocks) {
+        if (block.item.bytes.total() > mBudgets[device]) continue;
+        bytes = std::max(bytes, block.item.bytes.total());
+        ++fitting;
+    }
+    if (fitting == 0) return;
+    do {
+        try {
+            executor.slots.resize(std::min(fitting, static_cast<std::size_t>(limits.slots)));
+            for (Slot& slot : executor.slots) slot.device = executor.device->allocate(bytes);
+            for (Slot& slot : executor.slots) slot.staging = executor.device->allocateStaging(bytes);
+            executor.slotBytes = bytes;
+            return;
+        } catch (const OutOfDeviceMemory&) {
+            ++mReport.halvings;
+        } catch (const DeviceError& error) {
+            if (mOptions.onFailure == DeviceFailure::kStop) throw;
+            mReport.devices[device].failure = error.what();
+        }
+        executor.device->releaseAll();
+        executor.slots.clear();
+        if (!mReport.devices[device].failure.empty()) return;
+        bytes = bytes / 2 / 16 * 16;
+    } while (bytes >= kLeastBytes);
+    mReport.devices[device].failure = "it refused memory for even a small block";
+}
+
+void ScheduleRunner::handOut()
+{
+    std::vector<Dispatcher::Item> items;
+    for (const RunBlock& block : mBlocks) {
+        const bool fits = std::any_of(mBudgets.begin(), mBudgets.end(), [&](std::uint64_t budget) {
+            return block.item.bytes.total() <= budget;
+        });
+        if (!fits && !mBudgets.empty()) {
+            mReport.tooLargeQueries += block.queries();
+            mDispatcher->addCpuTests(block.item.tests);
+            startOnCpu(block);
+        } else {
+            items.push_back(block.item);
+        }
+    }
+    mDispatcher->setItems(std::move(items));
+    for (;;) {
+        mRun.cancel.check();
+        for (std::size_t d = 0; d < mExecutors.size(); ++d) {
+            while (!mExecutors[d].flights.empty() && mDispatcher->full(static_cast<int>(d)))
+                settleOldest(static_cast<int>(d));
+        }
+        if (const std::optional<Dispatcher::Turn> turn = mDispatcher->next()) {
+            const RunBlock block = mBlocks[turn->block];
+            if (turn->executor == Block::kOnCpu) {
+                startOnCpu(block);
+            } else if (turn->executor == Dispatcher::kTooLarge) {
+                RunBlock whole = block;
+                if (!whole.isStaged) {
+                    stage(whole);
+                    mDispatcher->addCpuTests(whole.item.outsideTests);
+                    whole.item.outsideTests = 0;
+                }
+                split(whole, {});
+            } else {
+                startOnDevice(turn->executor, block);
+            }
+            continue;
+        }
+        const auto flying = std::find_if(mExecutors.begin(), mExecutors.end(),
+                                         [](const Executor& e) { return !e.flights.empty(); });
+        if (flying == mExecutors.end()) return;
+        settleOldest(static_cast<int>(flying - mExecutors.begin()));
+    }
+}
+
+// ---- TBB workers ---------------------------------------------------------------------------------------------------
+
+void ScheduleRunner::startOnCpu(const RunBlock& block)
+{
+    ++mReport.cpuBlocks;
+    const std::vector<Piece>& pieces = mRun.pieces;
+    const auto first = std::partition_point(pieces.begin(), pieces.end(), [&](const Piece& piece) {
+        return piece.endSlot <= block.part.firstSlot;
+    });
+    const auto end = std::partition_point(
+        first, pieces.end(), [&](const Piece& piece) { return piece.firstSlot < block.part.endSlot; });
+    constexpr std::size_t kPiecesOfJob = 32;
+    const auto part = std::make_shared<const BlockPart>(block.part);
+    for (auto p = first; p < end; p += std::min<std::ptrdiff_t>(kPiecesOfJob, end - p)) {
+        const auto begin = static_cast<std::size_t>(p - pieces.begin());
+        const std::size_t stop =
+            std::min(begin + kPiecesOfJob, static_cast<std::size_t>(end - pieces.begin()));
+        mJobs.add([this, number = block.block, begin, stop, part] { runPieces(number, begin, stop, *part); });
+    }
+}
+
+// Runs the queries of a part that are in some pieces.
+void ScheduleRunner::runPieces(std::size_t block, std::size_t first, std::size_t end, const BlockPart& part)
+{
+    const SparseGridData& grid = mRun.grid;
+    for (std::size_t p = first; p < end; ++p) {
+        mRun.cancel.check();
+        const Piece& piece = mRun.pieces[p];
+        LeafNeighborhood neighborhood;
+        grid.topology.neighborhoods({&grid.leafOrigins[piece.leaf], 1}, &neighborhood);
+        SearchTask task{piece.leaf, std::max(piece.firstSlot, part.firstSlot),
+                        std::min(piece.endSlot, part.endSlot), neighborhood.leaf};
+        const auto without =
+            std::lower_bound(part.without.begin(), part.without.end(), piece.leaf,
+                             [](const CellSet& set, std::uint32_t leaf) { return set.leaf < leaf; });
+        std::uint64_t cells[8];
+        if (without != part.without.end() && without->leaf == piece.leaf) {
+            for (int x = 0; x < 8; ++x) cells[x] = grid.leaves[piece.leaf].occupancy[x] & ~without->cells[x];
+            task.cells = cells;
+        }
+        runTask(block, task);
+    }
+}
+
+void ScheduleRunner::runBoundaryLeaf(std::size_t block, const CellSet& set, std::uint32_t firstSlot,
+                                     std::uint32_t endSlot)
+{
+    const SparseGridData& grid = mRun.grid;
+    mRun.cancel.check();
+    LeafNeighborhood neighborhood;
+    grid.topology.neighborhoods({&grid.leafOrigins[set.leaf], 1}, &neighborhood);
+    runTask(block, {set.leaf, std::max(firstSlot, grid.leaves[set.leaf].firstSlot),
+                    std::min(endSlot, grid.leaves[set.leaf + 1].firstSlot), neighborhood.leaf, set.cells});
+}
+
+void ScheduleRunner::runTask(std::size_t block, const SearchTask& task)
+{
+    ThreadState& state = mEngine.states.local();
+    const std::uint64_t before = state.statistics.pairs;
+    std::uint64_t queries = task.endSlot - task.firstSlot;
+    if (task.cells) {
+        queries = 0;
+        forEachWantedCell(mRun.context.block, task, [&](const SearchTask& cell) {
+            queries += cell.endSlot - cell.firstSlot;
+            if (mEncoding == Encoding::kMask) mEngine.makeRows(mRun, cell, state, mPool, mLists);
+        });
+    }
+    if (!task.cells || mEncoding != Encoding::kMask) mEngine.makeRows(mRun, task, state, mPool, mLists);
+    mPairs[block] += state.statistics.pairs - before;
+    mCpuParticles += queries;
+}
+
+// ---- devices -------------------------------------------------------------------------------------------------------
+
+void ScheduleRunner::startOnDevice(int device, RunBlock block)
+{
+    Executor& executor = mExecutors[static_cast<std::size_t>(device)];
+    auto flight = std::make_unique<Flight>();
+    flight->block = std::move(block);
+    flight->slot = executor.begun++ % executor.slots.size();
+    Flight& own = *flight;
+    executor.flights.push_back(std::move(flight));
+    mJobs.add([this, &executor, &own] { runFlight(executor, own); });
+}
+
+// Makes the halo of a block, or hands its boundary region to TBB workers.
+void ScheduleRunner::stage(RunBlock& block)
+{
+    if (block.isStaged) return;
+    BlockHalo halo = haloOf(mRun.grid, block.part.firstLeaf, block.part.endLeaf, block.log2Cells);
+    if (block.withHalo) {
+        block.part.halo = std::move(halo.halo);
+    } else {
+        block.part.without = std::move(halo.boundary);
+        for (const CellSet& set : block.part.without) {
+            mJobs.add([this, number = block.block, set, first = block.part.firstSlot,
+                       end = block.part.endSlot] { runBoundaryLeaf(number, set, first, end); });
+        }
+    }
+    block.isStaged = true;
+}
+
+void ScheduleRunner::runFlight(Executor& executor, Flight& flight)
+{
+    const Slot& slot = executor.slots[flight.slot];
+    const int number = static_cast<int>(flight.slot);
+    BlockDevice& device = *executor.device;
+    try {
+        mRun.cancel.check();
+        stage(flight.block);
+        const BlockImage image = writeImage(mRun.grid, flight.block.part, slot.staging, slot.device);
+        device.upload(number, slot.device, slot.staging, image.bytes);
+        std::byte* const result = slot.device + image.bytes;
+        device.search(number,
+                      {image, mRun.context.bounds, mEncoding, result, executor.slotBytes - image.bytes});
+        // The image is on the device; its staging memory takes the result.
+        const ResultLayout layout = resultLayout(image, mEncoding);
+        device.download(number, slot.staging, result, layout.rows);
+        device.wait(number);
+        std::memcpy(&flight.head, slot.staging, sizeof flight.head);
+        flight.bytesDown = layout.rows;
+        if (layout.rows + flight.head.rowBytes > executor.slotBytes - image.bytes) {
+            const auto* const counts = reinterpret_cast<const std::uint32_t*>(slot.staging + layout.counts);
+            flight.counts.assign(counts, counts + flight.block.queries());
+            flight.overflowed = true;
+        } else {
+            device.download(number, slot.staging + layout.rows, result + layout.rows, flight.head.rowBytes);
+            device.wait(number);
+            flight.bytesDown += flight.head.rowBytes;
+            collect(flight, layout, slot.staging);
+        }
+    } catch (const DeviceError& error) {
+        flight.failure = error.what();
+        if (flight.failure.empty()) flight.failure = "unknown";
+    }
+    flight.ended = true;
+}
+
+// Puts the rows of a block where they stay. Reads what was downloaded, and the grid; nothing of the device's.
+void ScheduleRunner::collect(Flight& flight, const ResultLayout& layout, const std::byte* result)
+{
+    const SparseGridData& grid = mRun.grid;
+    const BlockPart& part = flight.block.part;
+    ThreadState& state = mEngine.states.local();
+    const bool isMask = mEncoding == Encoding::kMask;
+    std::uint32_t* rows = nullptr;
+    if (flight.head.rowBytes > 0) {
+        rows = mRows.take(flight.head.rowBytes);
+        std::memcpy(rows, result + layout.rows, flight.head.rowBytes);
+    }
+    const auto* const counts = reinterpret_cast<const std::uint32_t*>(result + layout.counts);
+    const auto* const leafRows = reinterpret_cast<const std::uint64_t*>(result + layout.leafRows);
+    std::uint64_t at = 0; // entries of rows that are placed
+    const auto place = [&](std::uint32_t begin, std::uint32_t end) {
+        flight.particles += end - begin;
+        if (isMask) state.maskRuns.push_back({begin, rows + at});
+        std::copy_n(counts + (begin - part.firstSlot), end - begin, mLists.rowCount.data() + begin);
+        if (mEncoding != Encoding::kIndex) return;
+        for (std::uint32_t s = begin; s < end; ++s) {
+            mLists.rowBegin[s] = rows + at;
+            at += mLists.rowCount[s];
+        }
+    };
+    auto without = part.without.begin();
+    for (std::uint32_t l = part.firstLeaf; l < part.endLeaf; ++l) {
+        const std::uint32_t begin = std::max(grid.leaves[l].firstSlot, part.firstSlot),
+                            end = std::min(grid.leaves[l + 1].firstSlot, part.endSlot);
+        const bool isPartial = without != part.without.end() && without->leaf == l;
+        if (isMask) at = leafRows[l - part.firstLeaf];
+        if (!isPartial) {
+            if (begin < end) place(begin, end);
+            continue;
+        }
+        LeafNeighborhood neighborhood;
+        grid.topology.neighborhoods({&grid.leafOrigins[l], 1}, &neighborhood);
+        int x = 0;
+        std::uint64_t word = grid.leaves[l].occupancy[0];
+        forEachOccupiedCell(grid, l, neighborhood,
+                            [&](std::uint32_t cellBegin, std::uint32_t cellEnd, std::uint64_t candidates) {
+                                while (!word) word = grid.leaves[l].occupancy[++x];
+                                const std::uint64_t bit = word & -word;
+                                word &= ~bit;
+                                const std::uint32_t from = std::max(cellBegin, begin),
+                                                    to = std::min(cellEnd, end);
+                                if (without->cells[x] & bit || from >= to) return;
+                                place(from, to);
+                                if (isMask) at += (to - from) * ((candidates + 31) / 32);
+                            });
+        ++without;
+    }
+    state.statistics.pairs += flight.head.pairs;
+    mPairs[flight.block.block] += flight.head.pairs;
+}
+
+// ---- when a block has come back ------------------------------------------------------------------------------------
+
+void ScheduleRunner::settleOldest(int device)
+{
+    Executor& executor = mExecutors[static_cast<std::size_t>(device)];
+    DeviceRun& report = mReport.devices[static_cast<std::size_t>(device)];
+    mJobs.runUntil([&] { return executor.flights.front()->ended.load(); });
+    const std::unique_ptr<Flight> flight = std::move(executor.flights.front());
+    executor.flights.pop_front();
+    mDispatcher->finish(device, flight->bytesDown);
+    flight->block.item.outsideTests = 0; // TBB workers have them
+    if (!flight->failure.empty()) {
+        if (mOptions.onFailure == DeviceFailure::kStop) throw DeviceError(flight->failure);
+        if (report.failure.empty()) report.failure = flight->failure;
+        mDispatcher->retire(device);
+        ++mReport.retries;
+        again(std::move(flight->block));
+        return;
+    }
+    learn(*flight);
+    if (flight->overflowed) {
+        ++mReport.overflows;
+        split(flight->block, {flight->counts.data(), flight->block.part.firstSlot});
+        return;
+    }
+    report.blocks += 1;
+    report.particles += flight->particles;
+    mDeviceParticles += flight->particles;
+    mRun.cancel.update(static_cast<double>(mDeviceParticles + mCpuParticles) /
+                       static_cast<double>(mRun.grid.particleCount()));
+}
+
+// The ratio of actual to expected pairs of blocks that are done corrects what the others are taken to need.
+void ScheduleRunner::learn(const Flight& flight)
+{
+    if (mEncoding != Encoding::kIndex || !(flight.block.expectedPairs > 0)) return;
+    std::uint64_t wanted = flight.block.queries();
+    for (const CellSet& set : flight.block.part.without)
+        wanted -= std::min(wanted, particlesIn(mRun.grid, set));
+    mActualPairs += static_cast<double>(flight.head.pairs);
+    mExpectedPairs += flight.block.expectedPairs * static_cast<double>(wanted) /
+                      static_cast<double>(flight.block.queries());
+    if (mExpectedPairs > 0) {
+        mDispatcher->correct(std::max(1.0, mActualPairs / mExpectedPairs / (1 + mSchedule.model.margin)));
+    }
+}
+
+void ScheduleRunner::again(RunBlock block)
+{
+    block.item.block = mBlocks.size();
+    mBlocks.push_back(block);
+    mDispatcher->addFirst(block.item);
+}
+
+// Two halves of a block, and halves of those where what is known says that they do not fit either.
+void ScheduleRunner::split(const RunBlock& whole, const Counts& counts)
+{
+    const SparseGridData& grid = mRun.grid;
+    const BlockPart& part = whole.part;
+    if (whole.queries() <= kFewestQueries) {
+        mReport.tooLargeQueries += whole.queries();
+        mDispatcher->addCpuTests(whole.item.tests);
+        startOnCpu(whole);
+        return;
+    }
+    ++(counts.count ? mReport.retries : mReport.splits);
+    const std::uint32_t middle = part.firstSlot + static_cast<std::uint32_t>(whole.queries() / 2);
+    std::vector<RunBlock> halves;
+    if (part.endLeaf - part.firstLeaf > 1) {
+        // Between leaves, where the particles are halved; each half has one leaf at least.
+        const auto end = std::partition_point(
+            grid.leaves.begin() + part.firstLeaf + 1, grid.leaves.begin() + part.endLeaf - 1,
+            [&](const LeafRecord& leaf) { return leaf.firstSlot < middle; });
+        const auto leaf = static_cast<std::uint32_t>(end - grid.leaves.begin());
+        const std::uint32_t slot = grid.leaves[leaf].firstSlot;
+        halves = {partOf(whole, part.firstLeaf, leaf, part.firstSlot, slot, counts),
+                  partOf(whole, leaf, part.endLeaf, slot, part.endSlot, counts)};
+    } else {
+        halves = {partOf(whole, part.firstLeaf, part.endLeaf, part.firstSlot, middle, counts),
+                  partOf(whole, part.firstLeaf, part.endLeaf, middle, part.endSlot, counts)};
+    }
+    // The second first: what is added last is taken first.
+    for (auto half = halves.rbegin(); half != halves.rend(); ++half) {
+        if (counts.count && !mDispatcher->fits(half->item.bytes.total()) && mDispatcher->fits(0)) {
+            split(*half, counts);
+        } else {
+            again(std::move(*half));
+        }
+    }
+}
+
+RunBlock ScheduleRunner::partOf(const RunBlock& whole, std::uint32_t firstLeaf, std::uint32_t endLeaf,
+                                std::uint32_t firstSlot, std::uint32_t endSlot, const Counts& counts) const
+{
+    using M = MemoryModel;
+    const SparseGridData& grid = mRun.grid;
+    RunBlock half = whole;
+    half.part = {firstLeaf, endLeaf, firstSlot, endSlot, haloOf(grid, firstLeaf, endLeaf, kAnyLeaves).halo,
+                 {}};
+    for (const CellSet& set : whole.part.without) {
+        if (set.leaf >= firstLeaf && set.leaf < endLeaf) half.part.without.push_back(set);
+    }
+    half.withHalo = half.isStaged = true;
+    half.expectedPairs =
+        whole.expectedPairs * static_cast<double>(half.queries()) / static_cast<double>(whole.queries());
+    half.item.outsideTests = half.item.tests = 0;
+    std::uint64_t words = 0;
+    std::vector<LeafNeighborhood> neighborhoods(endLeaf - firstLeaf);
+    grid.topology.neighborhoods({&grid.leafOrigins[firstLeaf], endLeaf - firstLeaf}, neighborhoods.data());
+    for (std::uint32_t l = firstLeaf; l < endLeaf; ++l) {
+        const SearchTask task{l, std::max(firstSlot, grid.leaves[l].firstSlot),
+                              std::min(endSlot, grid.leaves[l + 1].firstSlot),
+                              neighborhoods[l - firstLeaf].leaf};
+        forEachCandidateCount(grid, task, [&](std::uint64_t queries, std::uint64_t candidates) {
+            half.item.tests += queries * candidates;
+            words += queries * ((candidates + 31) / 32);
+        });
+    }
+    BlockBytes& bytes = half.item.bytes;
+    bytes.up = imageBytes(grid, half.part);
+    bytes.down = M::kResultBytes + half.queries() * M::kCountBytes;
+    half.item.isExact = counts.count || mEncoding != Encoding::kIndex;
+    if (mEncoding == Encoding::kMask) {
+        bytes.down +=
+            words * sizeof(std::uint32_t) + (endLeaf - firstLeaf) * M::kMaskLeafBytes + M::kMaskBlockBytes;
+    } else if (mEncoding == Encoding::kIndex && counts.count) {
+        bytes.down += counts.sum(firstSlot, endSlot) * M::kNeighborBytes;
+    } else if (mEncoding == Encoding::kIndex) {
+        const double pairs = half.expectedPairs * (1 + mSchedule.model.margin);
+        bytes.down += static_cast<std::uint64_t>(pairs < 0x1p58 ? pairs : 0x1p58) * M::kNeighborBytes;
+    }
+    return half;
+}
+
+} // namespace
+
+std::unique_ptr<BlockDevice> openDevice(const DeviceLimits& limits, const SearchRun& run,
+                                        ThreadStates& states)
+{
+    if (limits.kind != DeviceKind::kSim) {
+        throw DeviceError("device '" + limits.name + "' is a " + deviceKindName(limits.kind) +
+                          " device: only simulated ones can be searched with so far");
+    }
+    return std::make_unique<SimulatedDevice>(limits.name, limits.memoryBytes, run, states);
+}
+
+NeighborLists runSchedule(EngineState& engine, const SparseGrid& grid, const Schedule& schedule,
+                          const std::vector<DeviceLimits>& devices, const RunOptions& options,
+                          ScheduleRun& report, const DeviceMaker& makeDevice)
+{
+    const std::shared_ptr<NeighborListsData> result = engine.beginLists(grid, schedule.model.encoding);
+    const SearchRun run(grid.data(), options.search);
+    engine.beginStatistics(options.search);
+    ChunkPool pool(std::move(result->chunks));
+    const std::uint64_t allowed = engine.allowRows(run, options.search, *result, pool);
+    try {
+        ScheduleRunner runner(engine, run, schedule, options, *result, pool, report);
+        runner.execute(devices, makeDevice);
+    } catch (const ChunkPool::Exhausted&) {
+        throw listsDoNotFit(schedule.model.encoding, false, pool.takenBytes(), allowed);
+    }
+    engine.finishLists(run, pool, *result);
+    engine.lists = result;
+    return NeighborLists(result);
+}
+
+} // namespace vdb_nns

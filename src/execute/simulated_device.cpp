@@ -1,0 +1,164 @@
+// See simulated_device.h.
+#include "execute/simulated_device.h"
+
+#include <algorithm>
+#include <cstring>
+#include <stdexcept>
+#include <utility>
+
+namespace vdb_nns {
+
+namespace {
+
+// The search of one block by one thread: rows one after the other into its result.
+class BlockSearcher final : public RowTaker {
+public:
+    BlockSearcher(const SearchRun& run, const BlockSearch& block, ThreadState& state)
+        : mRun(run),
+          mBlock(block),
+          mState(state),
+          mLayout(resultLayout(block.image, block.encoding)),
+          mContext{block.image.block, block.bounds},
+          mCounts(at(mLayout.counts)),
+          mRows(at(mLayout.rows)),
+          mRoom((block.resultBytes - mLayout.rows) / sizeof(std::uint32_t))
+    {
+    }
+
+    void search()
+    {
+        mState.exact = &mRun.exact;
+        const BlockImage& image = mBlock.image;
+        std::fill_n(mCounts, image.endQuery - image.firstQuery, 0u);
+        for (std::uint32_t l = 0; l < image.leaves; ++l) {
+            mRun.cancel.check();
+            const std::uint32_t begin = std::max(image.block.leaves[l].firstSlot, image.firstQuery),
+                                end = std::min(image.block.leaves[l + 1].firstSlot, image.endQuery);
+            if (mBlock.encoding == Encoding::kMask) {
+                reinterpret_cast<std::uint64_t*>(mBlock.result + mLayout.leafRows)[l] = mEntries;
+            }
+            if (begin >= end) continue;
+            searchLeaf({l, begin, end, image.neighborhoods + std::size_t(l) * BlockImage::kNeighborhoodSize,
+                        image.cellsOf(l)});
+        }
+        const ResultHead head{mStatistics.pairs, mEntries * sizeof(std::uint32_t)};
+        std::memcpy(mBlock.result, &head, sizeof head);
+        mState.statistics.bandPairs += mStatistics.bandPairs; // pairs are added where they are collected
+    }
+
+    void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) override
+    {
+        mCounts[slot - mBlock.image.firstQuery] = count;
+        if (mEntries + count <= mRoom) std::copy_n(neighbors, count, mRows + mEntries);
+        mEntries += count;
+    }
+
+private:
+    std::uint32_t* at(std::uint64_t offset) const
+    {
+        return reinterpret_cast<std::uint32_t*>(mBlock.result + offset);
+    }
+
+    void searchLeaf(const SearchTask& task)
+    {
+        if (mBlock.encoding == Encoding::kIndex) {
+            mState.beginTaking(*this, task);
+            mRun.kernels.visit(mContext, task, mState.judge(), mState.halo, mState.taken, mStatistics);
+            mState.flushRows();
+        } else if (mBlock.encoding == Encoding::kMask && task.cells) {
+            forEachWantedCell(mContext.block, task,
+                              [&](const SearchTask& cell) { searchTo(mRun.kernels.mask, cell); });
+        } else {
+            searchTo(mBlock.encoding == Encoding::kMask ? mRun.kernels.mask : mRun.kernels.count, task);
+        }
+    }
+
+    // Counts, and the rows of masks, straight to the result.
+    void searchTo(SearchTaskFunction kernel, const SearchTask& task)
+    {
+        RowSink sink{};
+        sink.out = mRows + mEntries;
+        sink.end = mRows + mRoom;
+        sink.grow = [](RowSink& full, std::size_t entries) {
+            if (static_cast<std::size_t>(full.end - full.out) < entries) {
+                throw std::logic_error("the masks of a block are larger than their exact size");
+            }
+        };
+        sink.slotBase = mBlock.image.firstQuery;
+        sink.rowCount = mCounts;
+        kernel(mContext, task, mState.judge(), mState.halo, sink, mStatistics);
+        mEntries = static_cast<std::uint64_t>(sink.out - mRows);
+    }
+
+    const SearchRun& mRun;
+    const BlockSearch& mBlock;
+    ThreadState& mState;
+    const ResultLayout mLayout;
+    const SearchContext mContext;
+    std::uint32_t *const mCounts, *const mRows;
+    const std::uint64_t mRoom; // entries
+    std::uint64_t mEntries = 0;
+    TaskStatistics mStatistics;
+};
+
+} // namespace
+
+ResultLayout resultLayout(const BlockImage& image, Encoding encoding)
+{
+    ResultLayout layout{};
+    // 64-bit words first, so that they are aligned.
+    layout.leafRows = sizeof(ResultHead);
+    layout.counts = layout.leafRows + (encoding == Encoding::kMask ? std::uint64_t(image.leaves) * 8 : 0);
+    layout.rows = layout.counts + std::uint64_t(image.endQuery - image.firstQuery) * 4;
+    return layout;
+}
+
+SimulatedDevice::SimulatedDevice(std::string name, std::uint64_t budgetBytes, const SearchRun& run,
+                                 ThreadStates& states)
+    : mName(std::move(name)), mBudgetBytes(budgetBytes), mRun(run), mStates(states)
+{
+}
+
+std::byte* SimulatedDevice::allocate(std::uint64_t bytes)
+{
+    if (bytes > mBudgetBytes - mUsedBytes) {
+        throw OutOfDeviceMemory(mName + ": " + std::to_string(bytes) + " bytes do not fit beside " +
+                                std::to_string(mUsedBytes) + " of a budget of " +
+                                std::to_string(mBudgetBytes));
+    }
+    mMemory.emplace_back(new std::byte[bytes]);
+    mUsedBytes += bytes;
+    mPeakBytes = std::max(mPeakBytes, mUsedBytes);
+    return mMemory.back().get();
+}
+
+void SimulatedDevice::releaseAll()
+{
+    mMemory.clear();
+    mUsedBytes = 0;
+}
+
+std::byte* SimulatedDevice::allocateStaging(std::uint64_t bytes)
+{
+    mStaging.emplace_back(new std::byte[bytes]);
+    return mStaging.back().get();
+}
+
+void SimulatedDevice::upload(int, std::byte* device, const std::byte* staging, std::uint64_t bytes)
+{
+    std::memcpy(device, staging, bytes);
+}
+
+void SimulatedDevice::search(int, const BlockSearch& block)
+{
+    BlockSearcher(mRun, block, mStates.local()).search();
+}
+
+void SimulatedDevice::download(int, std::byte* staging, const std::byte* device, std::uint64_t bytes)
+{
+    std::memcpy(staging, device, bytes);
+}
+
+void SimulatedDevice::wait(int) {}
+
+} // namespace vdb_nns

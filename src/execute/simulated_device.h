@@ -1,0 +1,40 @@
+// A device that is not there: host memory under a budget that is enforced to the byte, real results by the kernels of the
+// CPU. What it would take is reckoned by schedule/device_clock.h; nothing here sleeps.
+#pragma once
+
+#include "execute/block_device.h"
+#include "execute/engine_state.h"
+
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <vector>
+
+namespace vdb_nns {
+
+class SimulatedDevice : public BlockDevice {
+public:
+    SimulatedDevice(std::string name, std::uint64_t budgetBytes, const SearchRun& run, ThreadStates& states);
+
+    std::byte* allocate(std::uint64_t bytes) override;
+    void releaseAll() override;
+    std::byte* allocateStaging(std::uint64_t bytes) override;
+    void upload(int slot, std::byte* device, const std::byte* staging, std::uint64_t bytes) override;
+    void search(int slot, const BlockSearch& block) override;
+    void download(int slot, std::byte* staging, const std::byte* device, std::uint64_t bytes) override;
+    void wait(int slot) override;
+    std::uint64_t peakBytes() const override { return mPeakBytes; }
+
+private:
+    // Of exactly the size that was asked for, so that a sanitizer sees the first byte past it.
+    using Memory = std::unique_ptr<std::byte[]>;
+
+    std::string mName;
+    std::uint64_t mBudgetBytes, mUsedBytes = 0, mPeakBytes = 0;
+    const SearchRun& mRun;
+    ThreadStates& mStates;
+    std::vector<Memory> mMemory, mStaging;
+};
+
+} // namespace vdb_nns

@@ -1,0 +1,28 @@
+// From what flags ask for to a plan, and to a search that follows it.
+#pragma once
+
+#include "device_options.h"
+#include "report.h"
+#include "vdb_nns/search.h"
+
+namespace vdb_nns::cli {
+
+class ProgressPrinter;
+
+/// The share of a run that a step is shown as.
+struct ProgressSpan {
+    ProgressPrinter& printer;
+    double begin, end;
+};
+
+/// Estimate, tree and schedule.
+/// @throws Cancelled, and as estimateWork(), buildWorkloadTree() and makeSchedule()
+PlanReport makePlan(const SparseGrid& grid, DeviceRequest request, Encoding encoding,
+                    const ProgressSpan& span, SecondsReport& seconds);
+
+/// A plan, and the search by it. Fills the report's plan and run.
+/// @throws as makePlan() and SearchEngine::search() with a schedule
+NeighborLists searchOnDevices(SearchEngine& engine, const SparseGrid& grid, const DeviceRequest& request,
+                              const SearchOptions& options, const ProgressSpan& span, SearchReport& report);
+
+} // namespace vdb_nns::cli
