@@ -14,6 +14,8 @@
 
 namespace vdb_nns {
 
+class SearchEngine;
+
 struct AttributeInfo {
     std::string name;  ///< e.g. "P"
     std::string type;  ///< OpenVDB's value type name, e.g. "vec3s"
@@ -80,9 +82,25 @@ enum class ListValues {
 /// 2^31-1 particles; ascending in each row), data, shape (int64[2]) and format (|S3) start on 64-byte boundaries.
 /// Streams: memory does not grow with the lists. The same lists give the same bytes. The file appears whole or not at
 /// all.
-/// @throws OutputExists, OutputError, Cancelled
+/// @throws OutputExists, OutputError (before anything is written, where the disk has not the room), Cancelled
 void writeNpz(const std::string& path, const NeighborLists& lists, ListValues values, bool overwrite,
               Progress* progress = nullptr);
+
+/// Writes the file that writeNpz() would write, of lists that no memory has to hold: the rows are made once more
+/// (SearchEngine::visitRows) and go to their place in the file as they come.
+/// Memory: what the search takes without lists, 4.5 bytes a particle, bufferBytes, 1 MB a thread; or the longest row, where
+/// that is more than a thread's share of the buffers. Cost: the search and the writing. Rows whose numbers follow each other
+/// and that come together are written together: particles should be numbered along space, as those of a .vdb are, or the
+/// buffers be large.
+/// @param engine a search on this engine must not be running.
+/// @param counts lists of the grid that is searched again, from engine.search(); counts alone (Encoding::kNone) are enough.
+/// @param bufferBytes rows that the threads of the caller's arena collect, together, before they write; 0: 64 MiB each.
+/// @param options of the search; `encoding` and `hostMemoryBytes` are not read.
+/// @throws OutputExists, OutputError (also before anything is written, where the disk has not the room), Cancelled, and what
+///         SearchEngine::visitRows() throws
+void writeNpzDirect(const std::string& path, SearchEngine& engine, const NeighborLists& counts,
+                    ListValues values, bool overwrite, std::uint64_t bufferBytes = 0,
+                    const SearchOptions& options = {});
 
 /// Fails early, before a long search, if `path` could not be written: it exists and overwriting was not asked for, it
 /// is not a regular file, or its folder does not exist.

@@ -37,7 +37,7 @@ struct SearchOptions {
     /// kBest takes the widest that the processor has; a level that it does not have is InvalidInput.
     SimdLevel simd = SimdLevel::kBest;
 
-    /// Bytes that grid and lists may use together; 0: what the machine (or its cgroup) has free, less a reserve.
+    /// Bytes that grid, its sort and lists may use together; 0: what the machine (or its cgroup) has free, less a reserve.
     std::uint64_t hostMemoryBytes = 0;
 
     /// Told how far a step is, and asked whether to stop; may be null.

@@ -15,7 +15,8 @@ enum class Estimator {
     kMonteCarlo, ///< the paper's: the same without the correction, overlap of cells by random samples
     kSampled,    ///< a share of the queries counted exactly, the rest by their ratio to the expectation
     kCounted,    ///< all queries counted: exact, at the price of a search
-    kFixed       ///< the same number of neighbors for every particle
+    kFixed,      ///< the same number of neighbors for every particle
+    kProbed ///< rough and nearly free: 32 leaves stand for all, tests and masks included; for asking whether all fits at once
 };
 
 struct EstimateOptions {
@@ -67,6 +68,15 @@ struct WorkEstimate {
 /// @throws InvalidInput for a fraction outside (0, 1], no samples, or a negative number of neighbors
 /// @throws Cancelled
 WorkEstimate estimateWork(const SparseGrid& grid, const EstimateOptions& options = {});
+
+/// Expected number of neighbors of each particle, by particle number: E(C_q) of its cell, the same for all particles of a
+/// cell; 0 for particles that are not finite. Never corrected, so it is the model as it is; its sum is that of estimateWork()
+/// without a correction, but for rounding to float. For judging the model: a search needs only the sums.
+/// Cost: one pass over the cells, 4 bytes a particle. In parallel.
+/// @param options `estimator`: kExpected for the overlap of cells by quadrature, kMonteCarlo for that by random samples
+/// @throws InvalidInput for another estimator, and as estimateWork() does
+/// @throws Cancelled
+std::vector<float> expectNeighbors(const SparseGrid& grid, const EstimateOptions& options = {});
 
 const char* estimatorName(Estimator estimator);
 

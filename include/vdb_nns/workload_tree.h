@@ -33,8 +33,9 @@ struct MemoryModel {
     static constexpr std::uint64_t kMaskBlockBytes = 8; ///< a row is written 64 bits at a time
 
     Encoding encoding = Encoding::kMask;
-    double margin = 0.05;    ///< S_aux: this share of the expected bytes
-    double auxNeighbors = 0; ///< S_aux: and room for so many neighbors a particle; the paper has 3.7
+    double margin = 0.05;      ///< S_aux: this share of the expected bytes
+    bool masksAreExact = true; ///< else the margin is for masks too
+    double auxNeighbors = 0;   ///< S_aux: and room for so many neighbors a particle; the paper has 3.7
 };
 
 /// Cells around a block that its queries reach, and the block's queries that reach them.

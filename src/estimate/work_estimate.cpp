@@ -11,6 +11,7 @@
 #include "vdb_nns/work_estimate.h"
 
 #include "estimate/overlap_table.h"
+#include "estimate/probe.h"
 #include "execute/count_queries.h"
 #include "execute/kernels.h"
 #include "execute/leaves_in_reach-inl.h"
@@ -154,41 +155,50 @@ public:
         mSelf = static_cast<float>(overlap.share(0, 0, 0));
     }
 
-    // Sums the work of the leaves from `begin` on, and completes their samples, with `groupSize` queries each at most.
-    void sum(std::size_t begin, std::size_t end, std::uint32_t groupSize, std::vector<Work>& leaves,
-             std::vector<Sample>& samples) const
+    // use(leaf, first slot, end slot, neighbors expected of each query, candidates of each) for every occupied cell of the
+    // leaves from `begin` on, in order.
+    template <typename Use>
+    void forEachCell(std::size_t begin, std::size_t end, const Use& use) const
     {
         CellCounts cube;
         const std::vector<LeafNeighborhood> neighborhoods = neighborhoodsOf(begin, end);
         const ExpectCellsFunction expectCells = kernelsFor(SimdLevel::kBest).expectCells;
         float expected[512];
         std::uint32_t candidates[512];
-        auto sample = std::lower_bound(samples.begin(), samples.end(), mGrid.leaves[begin].firstSlot,
-                                       [](const Sample& s, std::uint32_t slot) { return s.slot < slot; });
         for (std::size_t l = begin; l < end; ++l) {
             const auto leaf = static_cast<std::uint32_t>(l);
             expectCells(mBlock, leaf, neighborhoods[l - begin].leaf, mShares.data(), cube, expected,
                         candidates);
             const std::uint32_t* const cell = mGrid.cellStart.data() + mGrid.leaves[l].firstCell;
             const std::uint32_t cells = mGrid.leaves[l + 1].firstCell - mGrid.leaves[l].firstCell;
-            Work work;
             for (std::uint32_t c = 0; c < cells; ++c) {
                 const float neighbors = std::max(0.0f, expected[c] - mSelf); // a query is not its own
-                const std::uint64_t queries = cell[c + 1] - cell[c];
-                work.particles += queries;
-                work.candidateTests += queries * candidates[c];
-                work.maskBytes +=
-                    queries * ((std::uint64_t(candidates[c]) + 31) / 32) * sizeof(std::uint32_t);
-                work.expectedPairs += static_cast<double>(queries) * static_cast<double>(neighbors);
-                for (; sample != samples.end() && sample->slot < cell[c + 1]; ++sample) {
-                    const std::uint32_t last = std::max(cell[c + 1], groupSize) - groupSize;
-                    const std::uint32_t first = std::max(cell[c], std::min(sample->slot, last));
-                    sample->queries = {leaf, first, first + std::min(groupSize, cell[c + 1] - first)};
-                    sample->expected = neighbors;
-                }
+                use(leaf, cell[c], cell[c + 1], neighbors, candidates[c]);
             }
-            leaves[l] = work;
         }
+    }
+
+    // Sums the work of the leaves from `begin` on, and completes their samples, with `groupSize` queries each at most.
+    void sum(std::size_t begin, std::size_t end, std::uint32_t groupSize, std::vector<Work>& leaves,
+             std::vector<Sample>& samples) const
+    {
+        auto sample = std::lower_bound(samples.begin(), samples.end(), mGrid.leaves[begin].firstSlot,
+                                       [](const Sample& s, std::uint32_t slot) { return s.slot < slot; });
+        forEachCell(begin, end,
+                    [&](std::uint32_t leaf, std::uint32_t firstSlot, std::uint32_t endSlot, float neighbors,
+                        std::uint32_t candidates) {
+                        const std::uint64_t queries = endSlot - firstSlot;
+                        leaves[leaf] +=
+                            {queries, static_cast<double>(queries) * static_cast<double>(neighbors),
+                             queries * candidates,
+                             queries * ((std::uint64_t(candidates) + 31) / 32) * sizeof(std::uint32_t)};
+                        for (; sample != samples.end() && sample->slot < endSlot; ++sample) {
+                            const std::uint32_t last = std::max(endSlot, groupSize) - groupSize;
+                            const std::uint32_t first = std::max(firstSlot, std::min(sample->slot, last));
+                            sample->queries = {leaf, first, first + std::min(groupSize, endSlot - first)};
+                            sample->expected = neighbors;
+                        }
+                    });
     }
 
 private:
@@ -295,6 +305,14 @@ void correctParts(const SparseGridData& grid, const std::vector<std::size_t>& pa
     estimate.margin = all.counted > 0 ? std::sqrt(variance / all.counted) : 1;
 }
 
+OverlapTable overlapOf(const SparseGridData& grid, const EstimateOptions& options)
+{
+    return options.estimator == Estimator::kMonteCarlo
+               ? OverlapTable::byMonteCarlo(grid.radiusCells, grid.reach, options.monteCarloSamples,
+                                            options.seed)
+               : OverlapTable::byQuadrature(grid.radiusCells, grid.reach);
+}
+
 void countAll(const SparseGrid& grid, Progress* progress, WorkEstimate& estimate)
 {
     SearchOptions options;
@@ -324,14 +342,19 @@ WorkEstimate estimateWork(const SparseGrid& sparseGrid, const EstimateOptions& o
     estimate.estimator = options.estimator;
     estimate.leaves.resize(grid.leafCount());
     if (grid.particleCount() == 0) return estimate;
+    const auto finish = [&] {
+        for (const Work& leaf : estimate.leaves) estimate.total += leaf;
+        estimate.seconds = now() - start;
+        return std::move(estimate);
+    };
+    if (options.estimator == Estimator::kProbed) {
+        probeWork(grid, estimate);
+        return finish();
+    }
 
     const std::vector<std::size_t> parts = partsOf(grid);
     std::vector<Sample> samples = drawSamples(grid, parts, options);
-    const OverlapTable overlap = options.estimator == Estimator::kMonteCarlo
-                                     ? OverlapTable::byMonteCarlo(grid.radiusCells, grid.reach,
-                                                                  options.monteCarloSamples, options.seed)
-                                     : OverlapTable::byQuadrature(grid.radiusCells, grid.reach);
-    const Model model(grid, overlap);
+    const Model model(grid, overlapOf(grid, options));
     const std::uint32_t groupSize = options.estimator == Estimator::kExpected ? kGroupSize : 1;
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, estimate.leaves.size(), 64), [&](const auto& range) {
         cancel.check();
@@ -352,11 +375,36 @@ WorkEstimate estimateWork(const SparseGrid& sparseGrid, const EstimateOptions& o
         }
         break;
     case Estimator::kMonteCarlo:
+    case Estimator::kProbed:
         break;
     }
-    for (const Work& leaf : estimate.leaves) estimate.total += leaf;
-    estimate.seconds = now() - start;
-    return estimate;
+    return finish();
+}
+
+std::vector<float> expectNeighbors(const SparseGrid& sparseGrid, const EstimateOptions& options)
+{
+    checkOptions(options);
+    if (options.estimator != Estimator::kExpected && options.estimator != Estimator::kMonteCarlo) {
+        throw InvalidInput(std::string("the estimator ") + estimatorName(options.estimator) +
+                           " has no expectation of each particle: use expected or montecarlo");
+    }
+    const SparseGridData& grid = sparseGrid.data();
+    const CancelCheck cancel(options.progress, "estimate");
+    std::vector<float> neighborsOf(sparseGrid.view().size(), 0.0f);
+    if (grid.particleCount() == 0) return neighborsOf;
+
+    const Model model(grid, overlapOf(grid, options));
+    const Span<const std::uint32_t> numbers = sparseGrid.particleNumbers();
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, grid.leafCount(), 64), [&](const auto& range) {
+        cancel.check();
+        model.forEachCell(range.begin(), range.end(),
+                          [&](std::uint32_t, std::uint32_t firstSlot, std::uint32_t endSlot, float neighbors,
+                              std::uint32_t) {
+                              for (std::uint32_t s = firstSlot; s < endSlot; ++s)
+                                  neighborsOf[numbers[s]] = neighbors;
+                          });
+    });
+    return neighborsOf;
 }
 
 const char* estimatorName(Estimator estimator)
@@ -370,6 +418,8 @@ const char* estimatorName(Estimator estimator)
         return "sampled";
     case Estimator::kCounted:
         return "counted";
+    case Estimator::kProbed:
+        return "probed";
     case Estimator::kFixed:
         break;
     }

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cstring>
-#include <stdexcept>
 #include <utility>
 
 namespace vdb_nns {
@@ -28,18 +27,10 @@ public:
     void search()
     {
         mState.exact = &mRun.exact;
-        const BlockImage& image = mBlock.image;
-        std::fill_n(mCounts, image.endQuery - image.firstQuery, 0u);
-        for (std::uint32_t l = 0; l < image.leaves; ++l) {
-            mRun.cancel.check();
-            const std::uint32_t begin = std::max(image.block.leaves[l].firstSlot, image.firstQuery),
-                                end = std::min(image.block.leaves[l + 1].firstSlot, image.endQuery);
-            if (mBlock.encoding == Encoding::kMask) {
-                reinterpret_cast<std::uint64_t*>(mBlock.result + mLayout.leafRows)[l] = mEntries;
-            }
-            if (begin >= end) continue;
-            searchLeaf({l, begin, end, image.neighborhoods + std::size_t(l) * BlockImage::kNeighborhoodSize,
-                        image.cellsOf(l)});
+        try {
+            searchLeaves();
+        } catch (const MasksDoNotFit&) {
+            mEntries = std::max(countMaskWords(), mRoom + 1);
         }
         const ResultHead head{mStatistics.pairs, mEntries * sizeof(std::uint32_t)};
         std::memcpy(mBlock.result, &head, sizeof head);
@@ -54,6 +45,45 @@ public:
     }
 
 private:
+    struct MasksDoNotFit {};
+
+    void searchLeaves()
+    {
+        const BlockImage& image = mBlock.image;
+        std::fill_n(mCounts, image.endQuery - image.firstQuery, 0u);
+        for (std::uint32_t l = 0; l < image.leaves; ++l) {
+            mRun.cancel.check();
+            const std::uint32_t begin = std::max(image.block.leaves[l].firstSlot, image.firstQuery),
+                                end = std::min(image.block.leaves[l + 1].firstSlot, image.endQuery);
+            if (mBlock.encoding == Encoding::kMask) {
+                reinterpret_cast<std::uint64_t*>(mBlock.result + mLayout.leafRows)[l] = mEntries;
+            }
+            if (begin >= end) continue;
+            searchLeaf({l, begin, end, image.neighborhoods + std::size_t(l) * BlockImage::kNeighborhoodSize,
+                        image.cellsOf(l)});
+        }
+    }
+
+    // Masks that find no room are not made; how long all of them are follows from the cells.
+    std::uint64_t countMaskWords() const
+    {
+        const BlockImage& image = mBlock.image;
+        std::uint64_t words = 0;
+        for (std::uint32_t l = 0; l < image.leaves; ++l) {
+            LeafNeighborhood neighborhood;
+            std::copy_n(image.neighborhoods + std::size_t(l) * BlockImage::kNeighborhoodSize, 27,
+                        neighborhood.leaf);
+            forEachOccupiedCell(
+                image.block, l, neighborhood,
+                [&](std::uint32_t cellBegin, std::uint32_t cellEnd, std::uint64_t candidates) {
+                    const std::uint32_t begin = std::max(cellBegin, image.firstQuery),
+                                        end = std::min(cellEnd, image.endQuery);
+                    if (begin < end) words += (end - begin) * ((candidates + 31) / 32);
+                });
+        }
+        return words;
+    }
+
     std::uint32_t* at(std::uint64_t offset) const
     {
         return reinterpret_cast<std::uint32_t*>(mBlock.result + offset);
@@ -80,9 +110,7 @@ private:
         sink.out = mRows + mEntries;
         sink.end = mRows + mRoom;
         sink.grow = [](RowSink& full, std::size_t entries) {
-            if (static_cast<std::size_t>(full.end - full.out) < entries) {
-                throw std::logic_error("the masks of a block are larger than their exact size");
-            }
+            if (static_cast<std::size_t>(full.end - full.out) < entries) throw MasksDoNotFit();
         };
         sink.slotBase = mBlock.image.firstQuery;
         sink.rowCount = mCounts;

@@ -140,7 +140,7 @@ bool takeOverLeaves(const ParticleView& view, double radius, const SearchOptions
     grid.radiusCells = radiusCells;
     grid.coordinateError = 16 * kUneven; // of positions less than 12 cells from the leaf's centre
     grid.nonfiniteCount = 0;
-    checkGridCapacity(grid, slot, options.hostMemoryBytes);
+    checkGridCapacity(grid, {slot, leaves.size(), 0, grid.x.usedBytes() * 4}, options.hostMemoryBytes);
     grid.topology.build({grid.leafOrigins.data(), leaves.size()});
     const tbb::blocked_range<std::size_t> range(0, leaves.size(), 16);
     tbb::parallel_for(range, [&](const auto& r) {
@@ -154,6 +154,7 @@ bool takeOverLeaves(const ParticleView& view, double radius, const SearchOptions
     std::uint32_t cells = 0;
     for (std::size_t l = 0; l < leaves.size(); ++l) cells += std::exchange(grid.leaves[l].firstCell, cells);
     grid.leaves[leaves.size()] = {slot, cells, nullptr};
+    if (options.hostMemoryBytes) checkGridCapacity(grid, {slot, cells, 0, 0}, options.hostMemoryBytes);
     cancel.update(0.3);
     for (PageArray<float>* array : {&grid.x, &grid.y, &grid.z}) array->resizeDiscarding(slot);
     grid.number.resizeDiscarding(slot);

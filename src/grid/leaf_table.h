@@ -27,6 +27,15 @@ public:
 
     void add(std::uint32_t number, std::uint32_t particles) { mCounts[number] += particles; }
 
+    // Frees what only numberOf() needs.
+    void finish() { mTable = std::vector<Entry>(); }
+
+    std::uint64_t bytes() const
+    {
+        return mTable.capacity() * sizeof(Entry) + mLeaves.capacity() * sizeof(Vec3i) +
+               mCounts.capacity() * sizeof(std::uint32_t);
+    }
+
     std::uint32_t size() const { return static_cast<std::uint32_t>(mLeaves.size()); }
     const Vec3i& leaf(std::uint32_t i) const { return mLeaves[i]; }
     std::uint32_t count(std::uint32_t i) const { return mCounts[i]; }

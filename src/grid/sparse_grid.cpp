@@ -168,6 +168,7 @@ void mergeLeaves(std::vector<Chunk>& chunks, SparseGridData& grid)
         }
     });
     grid.leaves[leafCount] = {particles, 0, nullptr};
+    for (Chunk& chunk : chunks) chunk.leaves = LeafTable(); // scattering needs the cursors alone
 }
 
 void scatterChunk(const ParticleSource& source, const CellMap& map, Chunk& chunk, const std::uint32_t* leafOf,
@@ -229,7 +230,9 @@ std::uint32_t sortLeaf(const GridScratch::Record* records, std::uint32_t begin, 
     return cells;
 }
 
-void sortCells(GridScratch& scratch, SparseGridData& grid, const CancelCheck& cancel)
+// `checkCells(n)` is asked whether n occupied cells fit.
+template <typename CheckCells>
+void sortCells(GridScratch& scratch, SparseGridData& grid, CheckCells&& checkCells, const CancelCheck& cancel)
 {
     const std::size_t leaves = grid.leafCount();
     grid.topology.build({grid.leafOrigins.data(), leaves});
@@ -248,6 +251,7 @@ void sortCells(GridScratch& scratch, SparseGridData& grid, const CancelCheck& ca
     });
     std::uint32_t cells = 0;
     for (std::size_t l = 0; l <= leaves; ++l) cells += std::exchange(grid.leaves[l].firstCell, cells);
+    checkCells(cells);
     grid.cellStart.resizeDiscarding(std::size_t(cells) + 1);
     tbb::parallel_for(range, [&](const tbb::blocked_range<std::size_t>& r) {
         for (std::size_t l = r.begin(); l < r.end(); ++l) {
@@ -259,16 +263,36 @@ void sortCells(GridScratch& scratch, SparseGridData& grid, const CancelCheck& ca
     grid.cellStart[cells] = grid.leaves[leaves].firstSlot;
 }
 
+// Coordinates and number.
+constexpr std::uint64_t kBytesPerParticle = 3 * sizeof(float) + sizeof(std::uint32_t);
+
+CapacityError gridDoesNotFit(std::size_t particles, std::size_t leaves, std::uint64_t needed,
+                             std::uint64_t allowed)
+{
+    return CapacityError("the grid of " + std::to_string(particles) + " particles in " +
+                             std::to_string(leaves) + " leaves needs at least " + std::to_string(needed) +
+                             " bytes while it is made, allowed are " + std::to_string(allowed) +
+                             ": allow more host memory, or search a part of the particles at a time",
+                         needed, allowed);
+}
+
 struct Located {
     std::uint64_t nonfinite = 0;
     bool outOfRange = false;
 };
 
+// `mostBytes`: of the leaves that all chunks find. Particles in no order have each leaf in every chunk.
 Located locate(const ParticleSource& source, const CellMap& map, std::vector<Chunk>& chunks,
-               std::uint32_t* leafOf, const CancelCheck& cancel)
+               std::uint32_t* leafOf, std::uint64_t mostBytes, const CancelCheck& cancel)
 {
-    tbb::parallel_for(std::size_t(0), chunks.size(),
-                      [&](std::size_t c) { locateChunk(source, map, chunks[c], leafOf, cancel); });
+    std::atomic<std::uint64_t> bytes{0};
+    tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t c) {
+        LeafTable& leaves = chunks[c].leaves;
+        locateChunk(source, map, chunks[c], leafOf, cancel);
+        leaves.finish();
+        const std::uint64_t sum = bytes += leaves.bytes();
+        if (sum > mostBytes) throw gridDoesNotFit(source.size(), leaves.size(), sum, mostBytes);
+    });
     Located all;
     for (const Chunk& chunk : chunks) {
         all.nonfinite += chunk.nonfinite;
@@ -289,19 +313,14 @@ double coordinateErrorOf(const CellMap& map, const std::vector<Vec3i>& leafOrigi
 
 } // namespace
 
-void checkGridCapacity(const SparseGridData& grid, std::size_t particles, std::uint64_t hostMemoryBytes)
+void checkGridCapacity(const SparseGridData& grid, const GridNeed& need, std::uint64_t hostMemoryBytes)
 {
-    const std::uint64_t leafBytes =
-        sizeof(LeafRecord) + sizeof(Vec3i) + Topology::kBytesPerLeaf + sizeof(std::uint32_t);
-    const std::uint64_t needed = particles * 16 + grid.leafCount() * leafBytes;
-    const std::uint64_t held = grid.x.usedBytes() * 4;
-    const std::uint64_t allowed = hostMemoryBytes ? hostMemoryBytes : availableMemoryBytes() + held;
-    if (needed <= allowed) return;
-    throw CapacityError("the grid of " + std::to_string(particles) + " particles in " +
-                            std::to_string(grid.leafCount()) + " leaves needs at least " +
-                            std::to_string(needed) + " bytes, allowed are " + std::to_string(allowed) +
-                            ": allow more host memory, or search a part of the particles at a time",
-                        needed, allowed);
+    const std::size_t leaves = grid.leafCount();
+    const std::uint64_t needed = need.particles * kBytesPerParticle + need.cells * sizeof(std::uint32_t) +
+                                 leaves * (sizeof(LeafRecord) + sizeof(Vec3i)) +
+                                 Topology::bytesToBuild({grid.leafOrigins.data(), leaves}) + need.sortBytes;
+    const std::uint64_t allowed = hostMemoryBytes ? hostMemoryBytes : availableMemoryBytes() + need.heldBytes;
+    if (needed > allowed) throw gridDoesNotFit(need.particles, leaves, needed, allowed);
 }
 
 void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options,
@@ -314,13 +333,15 @@ void buildSparseGrid(const ParticleView& view, double radius, const SearchOption
     CellMap map(source, radius, reach, options.simd);
     std::vector<Chunk> chunks = makeChunks(source.size());
     scratch.leafOf.resizeDiscarding(source.size());
-    Located located = locate(source, map, chunks, scratch.leafOf.data(), cancel);
+    const std::uint64_t most =
+        options.hostMemoryBytes ? options.hostMemoryBytes : std::numeric_limits<std::uint64_t>::max();
+    Located located = locate(source, map, chunks, scratch.leafOf.data(), most, cancel);
     if (located.outOfRange && source.isArray()) {
         // Far from the origin: count cells from the middle of the particles instead, and try once more.
         const Bounds bounds = boundsOf(source, Vec3d{});
         for (int k = 0; k < 3; ++k) map.reference[k] = bounds.low[k] / 2 + bounds.high[k] / 2;
         chunks = makeChunks(source.size());
-        located = locate(source, map, chunks, scratch.leafOf.data(), cancel);
+        located = locate(source, map, chunks, scratch.leafOf.data(), most, cancel);
     }
     if (located.outOfRange) throw map.rangeError(source, 0);
     if (located.nonfinite > 0 && options.nonfinite == NonFinite::kFail) {
@@ -340,15 +361,24 @@ void buildSparseGrid(const ParticleView& view, double radius, const SearchOption
     }
     grid.nonfiniteCount = located.nonfinite;
     const std::size_t particles = grid.leaves.back().firstSlot;
-    checkGridCapacity(grid, particles, options.hostMemoryBytes);
+    GridNeed need{particles, grid.leafCount(), 0, 0};
+    need.heldBytes = grid.x.usedBytes() * 4 + scratch.records.usedBytes() + scratch.leafOf.usedBytes();
+    need.sortBytes = particles * sizeof(GridScratch::Record) + scratch.leafOf.usedBytes();
+    for (const Chunk& chunk : chunks) need.sortBytes += chunk.cursor.size() * sizeof(std::uint32_t);
+    checkGridCapacity(grid, need, options.hostMemoryBytes);
     scratch.records.resizeDiscarding(particles);
     tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t c) {
         scatterChunk(source, map, chunks[c], scratch.leafOf.data(), scratch.records.data(), cancel);
     });
+    chunks.clear();
     cancel.update(0.6);
     for (PageArray<float>* array : {&grid.x, &grid.y, &grid.z}) array->resizeDiscarding(particles);
     grid.number.resizeDiscarding(particles);
-    sortCells(scratch, grid, cancel);
+    const auto checkCells = [&](std::size_t cells) {
+        need.cells = cells;
+        if (options.hostMemoryBytes) checkGridCapacity(grid, need, options.hostMemoryBytes);
+    };
+    sortCells(scratch, grid, checkCells, cancel);
     cancel.update(1);
 }
 

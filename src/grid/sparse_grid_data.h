@@ -46,9 +46,13 @@ struct GridScratch {
     PageArray<std::uint32_t> leafOf; // by particle; later starts of cells by slot
 };
 
-// Throws CapacityError when a grid with the leaves of `grid` and so many particles cannot fit, with one occupied cell a
-// leaf. Before its arrays are made.
-void checkGridCapacity(const SparseGridData& grid, std::size_t particles, std::uint64_t hostMemoryBytes);
+// Throws CapacityError when a grid with the leaves of `grid`, so many particles and at least so many cells cannot fit
+// beside the memory of its sort. Before its arrays are made; `heldBytes` of all that are there already.
+struct GridNeed {
+    std::size_t particles = 0, cells = 0;
+    std::uint64_t sortBytes = 0, heldBytes = 0;
+};
+void checkGridCapacity(const SparseGridData& grid, const GridNeed& need, std::uint64_t hostMemoryBytes);
 
 // Sorts the particles of `view` into `grid`, whose memory is reused. Throws as SearchEngine::buildGrid().
 void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options,

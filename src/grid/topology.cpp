@@ -149,6 +149,15 @@ void Topology::neighborhoods(Span<const Vec3i> origins, LeafNeighborhood* out) c
     }
 }
 
+std::uint64_t Topology::bytesToBuild(Span<const Vec3i> origins)
+{
+    constexpr std::uint64_t kHeapBytes = 16; // before each block, and its rounding
+    constexpr std::uint64_t kLeafBytes = sizeof(Leaf) + kHeapBytes + 2 * sizeof(Leaf*); // in use and spare
+    const auto nodes = [&](int log2Dim) -> std::uint64_t { return nodeRuns(origins, log2Dim).size() - 1; };
+    return origins.size() * kLeafBytes + nodes(7) * (sizeof(Lower) + kHeapBytes) +
+           nodes(12) * (sizeof(Upper) + kHeapBytes);
+}
+
 std::uint64_t Topology::bytes() const
 {
     return mTree->tree.memUsage() + mTree->leaves.size() * sizeof(Leaf*);

@@ -34,8 +34,9 @@ public:
     void neighborhoods(Span<const Vec3i> origins, LeafNeighborhood* out) const;
 
     std::uint64_t bytes() const;
-    static constexpr std::uint64_t kBytesPerLeaf =
-        88; // the leaf node and the pointer to it, without the nodes above
+
+    // What build() will take from the heap, with what the heap itself adds to each leaf. Cost: a pass over the leaves.
+    static std::uint64_t bytesToBuild(Span<const Vec3i> origins);
 
     struct Tree; // wraps openvdb::MaskTree
     const Tree& tree() const { return *mTree; }

@@ -48,12 +48,11 @@ inline BlockView blockViewOf(const SparseGridData& grid)
 
 // Calls f(first slot, end slot, candidates) for each occupied cell of a leaf.
 template <typename F>
-void forEachOccupiedCell(const SparseGridData& grid, std::uint32_t leafIndex,
+void forEachOccupiedCell(const BlockView& block, std::uint32_t leafIndex,
                          const LeafNeighborhood& neighborhood, F&& f)
 {
-    const BlockView block = blockViewOf(grid);
-    const LeafRecord& leaf = grid.leaves[leafIndex];
-    const std::uint32_t* cell = grid.cellStart.data() + leaf.firstCell;
+    const LeafRecord& leaf = block.leaves[leafIndex];
+    const std::uint32_t* cell = block.cellStart + leaf.firstCell;
     for (int x = 0; x < 8; ++x) {
         for (std::uint64_t word = leaf.occupancy[x]; word; word &= word - 1, ++cell) {
             const int bit = __builtin_ctzll(word);
@@ -64,6 +63,13 @@ void forEachOccupiedCell(const SparseGridData& grid, std::uint32_t leafIndex,
             f(cell[0], cell[1], candidates);
         }
     }
+}
+
+template <typename F>
+void forEachOccupiedCell(const SparseGridData& grid, std::uint32_t leafIndex,
+                         const LeafNeighborhood& neighborhood, F&& f)
+{
+    forEachOccupiedCell(blockViewOf(grid), leafIndex, neighborhood, f);
 }
 
 } // namespace vdb_nns

@@ -114,6 +114,8 @@ void makeDirectory(const NeighborListsData& lists)
     const std::size_t leaves = lists.grid.leafCount();
     std::vector<MaskRun>& directory = lists.directory;
     if (leaves == 0) return;
+    directory.reserve(lists.grid.cellCount() +
+                      lists.maskRuns.size()); // a cell is cut where a task of the search ended
     forEachMaskCell(
         lists, 0, leaves,
         [&](std::uint32_t begin, std::uint32_t, const Runs&, std::uint32_t, const std::uint32_t* words) {

@@ -3,6 +3,7 @@
 // side by side.
 #include "output/npz_writer.h"
 
+#include "output/npz_parts.h"
 #include "output/output_file.h"
 #include "util/cancel.h"
 #include "vdb_nns/error.h"
@@ -11,9 +12,6 @@
 #include <oneapi/tbb/parallel_invoke.h>
 
 #include <algorithm>
-#include <cstring>
-
-#include <zlib.h>
 
 namespace vdb_nns {
 
@@ -25,45 +23,6 @@ constexpr std::uint64_t kBlockPairs = std::uint64_t(1) << 21;
 constexpr std::size_t kBlockRows = std::size_t(1) << 20;
 // Pairs of a task: its values stay in the second-level cache between sorting and CRC.
 constexpr std::uint64_t kTaskPairs = std::uint64_t(1) << 15;
-// Up to this length insertion beats std::sort.
-constexpr std::ptrdiff_t kInsertionLimit = 24;
-
-std::uint32_t crcOf(std::uint32_t crc, const void* data, std::size_t bytes)
-{
-    return static_cast<std::uint32_t>(::crc32_z(crc, static_cast<const Bytef*>(data), bytes));
-}
-
-// CRC of a followed by b.
-std::uint32_t crcJoined(std::uint32_t a, std::uint32_t b, std::uint64_t bytesOfB)
-{
-    return static_cast<std::uint32_t>(::crc32_combine(a, b, static_cast<z_off_t>(bytesOfB)));
-}
-
-// CRC of n bytes of value 1, by doubling.
-std::uint32_t crcOfOnes(std::uint64_t n)
-{
-    const unsigned char one = 1;
-    std::uint32_t power = crcOf(0, &one, 1), result = 0;
-    for (std::uint64_t bytes = 1; n > 0; bytes *= 2, n >>= 1) {
-        if (n & 1) result = crcJoined(result, power, bytes);
-        power = crcJoined(power, power, bytes);
-    }
-    return result;
-}
-
-void sortRow(std::uint32_t* first, std::uint32_t* last)
-{
-    if (last - first > kInsertionLimit) {
-        std::sort(first, last);
-        return;
-    }
-    for (std::uint32_t* next = first + (first != last); next < last; ++next) {
-        const std::uint32_t value = *next;
-        std::uint32_t* hole = next;
-        for (; hole != first && hole[-1] > value; --hole) *hole = hole[-1];
-        *hole = value;
-    }
-}
 
 // Rows of one task, and what it found.
 struct Task {
@@ -98,17 +57,16 @@ public:
         : mFile(file),
           mRows(rows),
           mHasDistances(values == ListValues::kDistance),
-          mLayout(layoutNpz(rows.size(), rows.pairCount(), values))
+          mLayout(beginNpz(rows.size(), rows.pairCount(), values))
     {
-        for (NpzMember& member : mLayout.members) {
-            member.crc = crcOf(0, member.npyHeader.data(), member.npyHeader.size());
-        }
     }
 
     void write(const CancelCheck& cancel)
     {
+        requireRoom(mFile, mLayout);
         const std::int64_t zero = 0;
-        append(NpzLayout::kIndptr, 0, &zero, sizeof zero, crcOf(0, &zero, sizeof zero));
+        appendValues(mFile, mLayout.members[NpzLayout::kIndptr], 0, &zero, sizeof zero,
+                     crcOf(0, &zero, sizeof zero));
         Block blocks[2];
         Block* next = &blocks[0];
         Block* ready = &blocks[1];
@@ -128,7 +86,9 @@ public:
                               std::to_string(next->firstPair) + " pairs instead of " +
                               std::to_string(mRows.pairCount()));
         }
-        finish();
+        NpzMember& data = mLayout.members[NpzLayout::kData];
+        if (!mHasDistances) data.crc = crcJoined(data.crc, crcOfOnes(mRows.pairCount()), mRows.pairCount());
+        finishNpz(mFile, mLayout, mRows.size());
     }
 
 private:
@@ -192,8 +152,8 @@ private:
     {
         const std::uint64_t pairs = block.pairCount();
         const std::size_t endBytes = block.ends.size() * sizeof(std::int64_t);
-        append(NpzLayout::kIndptr, 8 * (block.rowBegin + 1), block.ends.data(), endBytes,
-               crcOf(0, block.ends.data(), endBytes));
+        appendValues(mFile, mLayout.members[NpzLayout::kIndptr], 8 * (block.rowBegin + 1), block.ends.data(),
+                     endBytes, crcOf(0, block.ends.data(), endBytes));
         const bool isWide = mLayout.indexBytes == 8;
         const void* const indices =
             isWide ? static_cast<const void*>(block.wideIndices.data()) : block.indices.data();
@@ -219,31 +179,6 @@ private:
             std::uint32_t& data = mLayout.members[NpzLayout::kData].crc;
             if (mHasDistances) data = crcJoined(data, task.distancesCrc, pairs * 4);
         }
-    }
-
-    // Writes values that follow those already in the member's CRC.
-    void append(int number, std::uint64_t offset, const void* data, std::size_t bytes, std::uint32_t crc)
-    {
-        NpzMember& member = mLayout.members[number];
-        mFile.writeAt(member.valueOffset + offset, data, bytes);
-        member.crc = crcJoined(member.crc, crc, bytes);
-    }
-
-    // The small members, and the headers, which need the CRCs.
-    void finish()
-    {
-        const std::int64_t shape[2] = {static_cast<std::int64_t>(mRows.size()),
-                                       static_cast<std::int64_t>(mRows.size())};
-        append(NpzLayout::kShape, 0, shape, sizeof shape, crcOf(0, shape, sizeof shape));
-        append(NpzLayout::kFormat, 0, "csr", 3, crcOf(0, "csr", 3));
-        NpzMember& data = mLayout.members[NpzLayout::kData];
-        if (!mHasDistances) data.crc = crcJoined(data.crc, crcOfOnes(mRows.pairCount()), mRows.pairCount());
-        for (const NpzMember& member : mLayout.members) {
-            const std::string header = localHeader(member);
-            mFile.writeAt(member.localOffset, header.data(), header.size());
-        }
-        const std::string directory = centralDirectory(mLayout);
-        mFile.writeAt(mLayout.directoryOffset, directory.data(), directory.size());
     }
 
     OutputFile& mFile;

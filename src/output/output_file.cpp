@@ -16,6 +16,7 @@
 
 #include <fcntl.h>
 #include <sys/stat.h>
+#include <sys/statvfs.h>
 #include <unistd.h>
 
 namespace vdb_nns {
@@ -170,6 +171,17 @@ void OutputFile::writeAt(std::uint64_t offset, const void* data, std::size_t byt
         offset += static_cast<std::uint64_t>(written);
         bytes -= static_cast<std::size_t>(written);
     }
+}
+
+void OutputFile::requireRoom(std::uint64_t bytes) const
+{
+    struct statvfs status {};
+    // Some file systems do not know their size: the disk is full there when a write says so.
+    if (::fstatvfs(mDescriptor, &status) != 0 || status.f_blocks == 0 || status.f_frsize == 0) return;
+    const std::uint64_t freeBytes = std::uint64_t(status.f_bavail) * status.f_frsize;
+    if (bytes <= freeBytes) return;
+    throw OutputError(mPath + ": needs " + std::to_string(bytes) + " bytes, and its disk has " +
+                      std::to_string(freeBytes) + " bytes free" + nextStep(ENOSPC));
 }
 
 void OutputFile::commit()

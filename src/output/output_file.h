@@ -32,6 +32,10 @@ public:
     // @throws OutputError
     void writeAt(std::uint64_t offset, const void* data, std::size_t bytes);
 
+    // Throws OutputError unless the disk has room for a file of so many bytes. Before anything is written; others may
+    // take that room all the same.
+    void requireRoom(std::uint64_t bytes) const;
+
     // Closes the temporary and renames it to the target.
     // @throws OutputError, OutputExists when the target came into being meanwhile and may not be overwritten
     void commit();

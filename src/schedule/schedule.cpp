@@ -263,9 +263,9 @@ Schedule scheduleWith(const SparseGridData& grid, const WorkloadTree& tree,
 std::uint64_t nodeBytesFor(const SparseGrid& grid, const WorkEstimate& estimate, const MemoryModel& model,
                            const std::vector<DeviceLimits>& devices, const ScheduleOptions& options)
 {
-    // With fewer blocks than that for each executor they do not end together; with blocks of less than a sixteenth of what
-    // fits, halos and latencies cost more than that loses.
-    constexpr std::uint64_t kBlocksEach = 48, kSmallestShare = 16;
+    // With fewer blocks than that for each executor they do not end together; with blocks whose search takes less than 20
+    // latencies, those cost more than that loses.
+    constexpr double kBlocksEach = 48, kLatencies = 20;
     if (devices.empty()) return std::numeric_limits<std::uint64_t>::max();
     WorkloadNode root;
     root.endLeaf = static_cast<std::uint32_t>(grid.leafCount());
@@ -276,8 +276,13 @@ std::uint64_t nodeBytesFor(const SparseGrid& grid, const WorkEstimate& estimate,
     if (mayBeOne && everything <= devices[0].memoryBytes) return devices[0].memoryBytes;
     std::uint64_t budget = std::numeric_limits<std::uint64_t>::max();
     for (const DeviceLimits& device : devices) budget = std::min(budget, blockBudget(device));
-    const std::uint64_t executors = devices.size() + (options.useCpu ? 1 : 0);
-    return std::max(budget / kSmallestShare, std::min(budget, everything / (kBlocksEach * executors)));
+    double blocks = kBlocksEach * static_cast<double>(devices.size() + (options.useCpu ? 1 : 0));
+    for (const DeviceLimits& device : devices) {
+        const double tests = kLatencies * device.rates.latencySeconds * device.rates.testsPerSecond;
+        if (tests > 0) blocks = std::min(blocks, static_cast<double>(estimate.total.candidateTests) / tests);
+    }
+    return std::min(budget,
+                    static_cast<std::uint64_t>(static_cast<double>(everything) / std::max(1.0, blocks)));
 }
 
 std::uint64_t blockBudget(const DeviceLimits& device)

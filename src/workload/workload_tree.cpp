@@ -108,7 +108,9 @@ BlockBytes blockBytes(const WorkloadNode& node, const MemoryModel& model, bool w
     bytes.up = (bytes.up + 15) / 16 * 16;
     bytes.down = M::kResultBytes + particles * M::kCountBytes;
     if (model.encoding == Encoding::kMask) {
-        bytes.down += node.work.maskBytes + leaves * M::kMaskLeafBytes + M::kMaskBlockBytes;
+        const double rough = static_cast<double>(node.work.maskBytes) * (1 + model.margin);
+        bytes.down += model.masksAreExact ? node.work.maskBytes : static_cast<std::uint64_t>(rough);
+        bytes.down += leaves * M::kMaskLeafBytes + M::kMaskBlockBytes;
     }
     if (model.encoding == Encoding::kIndex) {
         const double neighbors = node.work.expectedPairs * (1 + model.margin) +

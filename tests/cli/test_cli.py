@@ -7,8 +7,8 @@ import unittest
 
 import cli_case
 
-MODULES = ["test_usage", "test_inputs", "test_outputs", "test_lists", "test_interrupt", "test_verify", "test_bench",
-           "test_plan"]
+MODULES = ["test_usage", "test_inputs", "test_outputs", "test_memory", "test_lists", "test_interrupt", "test_verify",
+           "test_bench", "test_plan", "test_device"]
 
 if __name__ == "__main__":
     if len(sys.argv) < 3:

@@ -1,12 +1,19 @@
 // Output files: whole or not at all, and the bytes of the .npz lists, read back by a ZIP reader written here.
+#include "agreement/point_views.h"
+#include "output/npz_direct.h"
+#include "output/npz_parts.h"
 #include "output/npz_writer.h"
 #include "output/output_file.h"
 #include "vdb_nns/error.h"
+#include "vdb_nns/search.h"
 
 #include <gtest/gtest.h>
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
 #include <zlib.h>
 
 #include <algorithm>
+#include <atomic>
 #include <csignal>
 #include <cstdlib>
 #include <cstring>
@@ -27,7 +34,7 @@ namespace {
 namespace fs = std::filesystem;
 
 // A folder of its own for each test, gone at the end.
-class OutputTest : public testing::Test {
+class OutputTest : public ::testing::Test {
 protected:
     OutputTest()
     {
@@ -187,6 +194,21 @@ TEST_F(OutputTest, reportsTheSizeLimitAndLeavesNothing)
     EXPECT_EQ(fileCount(), 0u);
 }
 
+TEST_F(OutputTest, asksForRoomBeforeItIsTaken)
+{
+    OutputFile file(path("a"), false);
+    EXPECT_NO_THROW(file.requireRoom(1));
+    const std::uint64_t exbibytes = std::uint64_t(7) << 60;
+    try {
+        file.requireRoom(exbibytes);
+        ADD_FAILURE() << "no error";
+    } catch (const OutputError& error) {
+        const std::string text = error.what();
+        for (const std::string& word : {path("a"), std::to_string(exbibytes), std::string("bytes free")})
+            EXPECT_NE(text.find(word), std::string::npos) << text;
+    }
+}
+
 TEST_F(OutputTest, streamSeeksAndThrowsTheFilesErrors)
 {
     {
@@ -325,7 +347,10 @@ private:
 // Rows from a function of the row: count, and numbers in an order that needs sorting.
 class TestRows final : public NpzRows {
 public:
-    TestRows(std::size_t size, std::uint32_t countModulus) : mSize(size), mModulus(countModulus) {}
+    TestRows(std::size_t size, std::uint32_t countModulus, std::size_t countStep = 7)
+        : mSize(size), mModulus(countModulus), mStep(countStep)
+    {
+    }
 
     std::size_t size() const override { return mSize; }
     std::uint64_t pairCount() const override
@@ -336,7 +361,7 @@ public:
     }
     std::uint32_t count(std::size_t row) const override
     {
-        return static_cast<std::uint32_t>(row * 7 % mModulus);
+        return static_cast<std::uint32_t>(row * mStep % mModulus);
     }
     void copyRow(std::size_t row, std::uint32_t* out) const override
     {
@@ -360,6 +385,7 @@ public:
 private:
     std::size_t mSize;
     std::uint32_t mModulus;
+    std::size_t mStep;
 };
 
 template <typename T>
@@ -507,6 +533,158 @@ TEST_F(OutputTest, npzPast4GiBUsesZip64)
             EXPECT_EQ(zip.bytes(member.start, 6), "\x93NUMPY");
         }
     }
+}
+
+// ------------------------------------------------------------------------------- .npz without lists in memory
+
+TEST(NpzParts, ACrcIsTheXorOfItsPiecesInAnyOrder)
+{
+    std::string bytes(1000, '\0');
+    for (std::size_t i = 0; i < bytes.size(); ++i) bytes[i] = static_cast<char>(i * i + 3);
+    const std::size_t cuts[] = {0, 1, 64, 65, 700, 1000};
+    std::uint32_t joined = 0;
+    for (const int piece : {3, 0, 4, 2, 1}) {
+        const std::size_t begin = cuts[piece], end = cuts[piece + 1];
+        joined ^= crcShare(crcOf(0, bytes.data() + begin, end - begin), bytes.size() - end);
+    }
+    EXPECT_EQ(joined, crcOf(0, bytes.data(), bytes.size()));
+}
+
+// The rows of a TestRows from several threads, in an order that joins some of them and not others.
+class TestRowSource final : public NpzRowSource {
+public:
+    explicit TestRowSource(const TestRows& rows) : mRows(rows) {}
+
+    std::vector<std::uint32_t> counts() const override
+    {
+        std::vector<std::uint32_t> counts(mRows.size());
+        for (std::size_t i = 0; i < counts.size(); ++i) counts[i] = mRows.count(i);
+        return counts;
+    }
+    std::uint64_t pairCount() const override { return mRows.pairCount(); }
+    void visitRows(const NeighborLists::RowVisitor& visit, Progress* progress) const override
+    {
+        constexpr std::size_t kGroup = 5;
+        const std::size_t groups = (mRows.size() + kGroup - 1) / kGroup;
+        tbb::parallel_for(std::size_t(0), groups, [&](std::size_t g) {
+            if (progress && progress->cancelled()) throw Cancelled("stop");
+            const std::size_t group = g % 2 ? groups - 1 - (groups % 2 ? g : g - 1) : g;
+            for (std::size_t row = group * kGroup; row < std::min(mRows.size(), (group + 1) * kGroup);
+                 ++row) {
+                if (row == mLost) continue;
+                std::vector<std::uint32_t> numbers(mRows.count(row));
+                mRows.copyRow(row, numbers.data());
+                if (row == mCut) numbers.pop_back();
+                visit(static_cast<std::uint32_t>(row), {numbers.data(), numbers.size()});
+            }
+            if (progress) progress->update("rows", static_cast<double>(g) / static_cast<double>(groups));
+        });
+    }
+    double distance(std::size_t row, std::size_t neighbor) const override
+    {
+        return mRows.distance(row, neighbor);
+    }
+
+    void lose(std::size_t row) { mLost = row; }
+    void cut(std::size_t row) { mCut = row; }
+
+private:
+    const TestRows& mRows;
+    std::size_t mLost = ~std::size_t(0), mCut = ~std::size_t(0);
+};
+
+TEST_F(OutputTest, npzWithoutListsHasTheSameBytes)
+{
+    // The last ones have rows that are longer than any buffer here, and than what is written at once.
+    for (const TestRows& rows : {TestRows(0, 1), TestRows(1, 1), TestRows(2, 8), TestRows(3000, 100),
+                                 TestRows(200000, 61), TestRows(12, 140001, 30011)}) {
+        for (const ListValues values : {ListValues::kConnectivity, ListValues::kDistance}) {
+            writeNpzRows(path("lists.npz"), rows, values, true, nullptr);
+            const std::string expected = contents(path("lists.npz"));
+            for (const std::size_t threadBytes : {0u, 100u, 4000u, 1u << 20, 64u << 20}) {
+                if (rows.size() > 10000 && threadBytes < 1u << 20) continue; // a write a row takes its time
+                writeNpzRowsDirect(path("direct.npz"), TestRowSource(rows), values, true, threadBytes,
+                                   nullptr);
+                EXPECT_TRUE(contents(path("direct.npz")) == expected)
+                    << rows.size() << " rows, buffers of " << threadBytes;
+            }
+        }
+    }
+    EXPECT_EQ(fileCount(), 2u);
+}
+
+TEST_F(OutputTest, npzOfASearchWithoutListsHasTheSameBytes)
+{
+    using namespace testing;
+    for (const PointSet& set : arraySets(Precision::kFloat)) {
+        const SetView input(set, Form::kFloats);
+        SearchEngine engine;
+        const NeighborLists lists = engine.findNeighbors(input.view(), set.radius);
+        SearchOptions counting;
+        counting.encoding = Encoding::kNone;
+        const NeighborLists counts = engine.search(lists.grid(), counting);
+        for (const ListValues values : {ListValues::kConnectivity, ListValues::kDistance}) {
+            writeNpz(path("lists.npz"), lists, values, true);
+            for (const int threads : {1, 3}) {
+                for (const std::uint64_t bufferBytes : {0u, 600u, 100000u}) {
+                    tbb::task_arena arena(threads);
+                    arena.execute([&] {
+                        writeNpzDirect(path("direct.npz"), engine, counts, values, true, bufferBytes);
+                    });
+                    EXPECT_TRUE(contents(path("direct.npz")) == contents(path("lists.npz")))
+                        << set.name << ", " << threads << " threads, buffers of " << bufferBytes;
+                }
+            }
+        }
+    }
+}
+
+TEST_F(OutputTest, npzWithoutListsStopsWhenAskedAndLeavesNothing)
+{
+    class StopLater final : public Progress {
+    public:
+        void update(const char* step, double fraction) override
+        {
+            EXPECT_STREQ(step, "write");
+            if (fraction > 0.2) mStop = true;
+        }
+        bool cancelled() const override { return mStop; }
+
+    private:
+        std::atomic<bool> mStop{false};
+    } progress;
+    const TestRows rows(400000, 61);
+    EXPECT_THROW(writeNpzRowsDirect(path("a.npz"), TestRowSource(rows), ListValues::kConnectivity, false,
+                                    100000, &progress),
+                 Cancelled);
+    EXPECT_EQ(fileCount(), 0u);
+}
+
+TEST_F(OutputTest, npzWithoutListsAndWithoutRoomLeavesNothing)
+{
+    const TestRows rows(50000, 61);
+    // Within the counts, the rows, the ones.
+    for (const rlim_t bytes : {100000, 2000000, 7000000}) {
+        const FileSizeLimit limit(bytes);
+        EXPECT_THROW(writeNpzRowsDirect(path("a.npz"), TestRowSource(rows), ListValues::kConnectivity, false,
+                                        100000, nullptr),
+                     OutputError);
+        EXPECT_EQ(fileCount(), 0u);
+    }
+}
+
+TEST_F(OutputTest, npzWithoutListsNoticesRowsThatDoNotMatchTheCounts)
+{
+    const TestRows rows(5000, 61);
+    TestRowSource lost(rows), cut(rows);
+    lost.lose(1234);
+    cut.cut(4321);
+    for (const TestRowSource* source : {&lost, &cut}) {
+        EXPECT_THROW(
+            writeNpzRowsDirect(path("a.npz"), *source, ListValues::kConnectivity, false, 10000, nullptr),
+            OutputError);
+    }
+    EXPECT_EQ(fileCount(), 0u);
 }
 
 } // namespace

@@ -261,6 +261,51 @@ TEST(RunSchedule, AnEstimateThatLiesGivesTheSameLists)
     }
 }
 
+// Masks too, where their sizes are not exact after all: what a rough estimate says of everything at once.
+TEST(RunSchedule, MasksThatAreLargerThanTheyWereTakenToBeAreRedone)
+{
+    for (const char* scene : kScenes) {
+        std::uint64_t overflows = 0;
+        for (const BoundaryMode boundary : {BoundaryMode::kCpu, BoundaryMode::kHalo}) {
+            SCOPED_TRACE(std::string(scene) + " " + boundaryModeName(boundary));
+            Case problem = sceneCase(scene);
+            for (Work& leaf : problem.estimate.leaves) leaf.maskBytes = 0;
+            problem.estimate.total.maskBytes = 0;
+            RunOptions run;
+            run.schedule.boundary = boundary;
+            run.schedule.useCpu = false;
+            for (const std::uint64_t divisor : {1u, 10u}) {
+                const std::vector<DeviceLimits> devices = {deviceOf(problem.need(Encoding::kMask) / divisor)};
+                const ScheduleRun report = expectRun(
+                    problem, problem.schedule(Encoding::kMask, devices, run.schedule), devices, run);
+                overflows += report.overflows;
+            }
+        }
+        EXPECT_GT(overflows, 0u);
+    }
+}
+
+TEST(RunSchedule, ARoughEstimateServesWhereEverythingFits)
+{
+    EstimateOptions rough;
+    rough.estimator = Estimator::kProbed;
+    for (const char* scene : kScenes) {
+        for (const Encoding encoding : kEncodings) {
+            SCOPED_TRACE(std::string(scene) + " " + nameOf(encoding));
+            Case problem = sceneCase(scene);
+            problem.estimate = estimateWork(problem.grid, rough);
+            EXPECT_EQ(problem.estimate.total.particles, problem.grid.particleCount());
+            // Twice, or what it says and too little.
+            for (const double share : {2.0, 1.0, 0.6}) {
+                const auto memory =
+                    static_cast<std::uint64_t>(share * static_cast<double>(problem.need(encoding)));
+                const std::vector<DeviceLimits> devices = {deviceOf(memory)};
+                expectRun(problem, problem.schedule(encoding, devices, {}), devices);
+            }
+        }
+    }
+}
+
 // What was learnt splits later blocks before they run in vain.
 TEST(RunSchedule, WhatIsLearntFromFinishedBlocksSavesOverflows)
 {
@@ -351,7 +396,7 @@ TEST(RunSchedule, ADeviceThatFailsAtAnyStepLosesNothing)
 {
     for (const Encoding encoding : kEncodings) {
         for (const BoundaryMode boundary : {BoundaryMode::kCpu, BoundaryMode::kHalo}) {
-            const Case& problem = sceneCase("block");
+            const Case& problem = sceneCase("sheet");
             const std::vector<DeviceLimits> devices = {deviceOf(problem.need(encoding) / 6)};
             ScheduleOptions options;
             options.boundary = boundary;

@@ -293,6 +293,7 @@ DeviceRequest deviceRequest(const DeviceFlags& flags, int threads)
         break;
     case Estimator::kExpected:
     case Estimator::kSampled:
+    case Estimator::kProbed:
         break;
     }
     request.schedule.boundary = flags.boundary == "cpu"    ? BoundaryMode::kCpu
@@ -315,6 +316,11 @@ MemoryModel memoryModel(const DeviceRequest& request, Encoding encoding, const W
     constexpr double kSpreads = 2, kLeastMargin = 0.02;
     MemoryModel model;
     model.encoding = encoding;
+    if (estimate.estimator == Estimator::kProbed) {
+        model.margin = estimate.margin;
+        model.masksAreExact = false;
+        return model;
+    }
     model.auxNeighbors = request.auxNeighbors;
     model.margin = request.margin ? *request.margin : std::max(kLeastMargin, kSpreads * estimate.margin);
     return model;

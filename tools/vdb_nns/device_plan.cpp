@@ -38,9 +38,25 @@ void findBounds(const SparseGrid& grid, PlanReport& plan)
     }
 }
 
+// Where a few leaves say that everything fits the one device with room to spare, nothing more has to be known: a block that
+// is larger after all is split and redone.
+WorkEstimate estimateFor(const SparseGrid& grid, const DeviceRequest& request, Encoding encoding,
+                         PlanDetail detail)
+{
+    const bool mayBeOne = request.devices.size() == 1 && request.schedule.blockLog2Cells == 0;
+    if (detail == PlanDetail::kAsNeeded && mayBeOne && request.estimate.estimator == Estimator::kExpected) {
+        EstimateOptions rough;
+        rough.estimator = Estimator::kProbed;
+        const WorkEstimate probed = estimateWork(grid, rough);
+        const BlockBytes needed = bytesAtOnce(grid, probed, memoryModel(request, encoding, probed));
+        if (needed.total() <= request.devices[0].memoryBytes) return probed;
+    }
+    return estimateWork(grid, request.estimate);
+}
+
 } // namespace
 
-PlanReport makePlan(const SparseGrid& grid, DeviceRequest request, Encoding encoding,
+PlanReport makePlan(const SparseGrid& grid, DeviceRequest request, Encoding encoding, PlanDetail detail,
                     const ProgressSpan& span, SecondsReport& seconds)
 {
     ProgressPrinter& progress = span.printer;
@@ -48,7 +64,7 @@ PlanReport makePlan(const SparseGrid& grid, DeviceRequest request, Encoding enco
     progress.begin("estimate", span.begin, middle);
     const Stopwatch estimateWatch;
     request.estimate.progress = &progress;
-    const WorkEstimate estimate = estimateWork(grid, request.estimate);
+    const WorkEstimate estimate = estimateFor(grid, request, encoding, detail);
     seconds.estimate = estimateWatch.seconds();
 
     progress.begin("plan", middle, span.end);
@@ -80,8 +96,8 @@ NeighborLists searchOnDevices(SearchEngine& engine, const SparseGrid& grid, cons
                               const SearchOptions& options, const ProgressSpan& span, SearchReport& report)
 {
     const double planned = span.begin + 0.2 * (span.end - span.begin);
-    report.plan =
-        makePlan(grid, request, options.encoding, {span.printer, span.begin, planned}, report.seconds);
+    report.plan = makePlan(grid, request, options.encoding, PlanDetail::kAsNeeded,
+                           {span.printer, span.begin, planned}, report.seconds);
     span.printer.begin("search", planned, span.end);
     RunOptions run;
     run.search = options;

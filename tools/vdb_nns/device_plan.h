@@ -15,9 +15,14 @@ struct ProgressSpan {
     double begin, end;
 };
 
+enum class PlanDetail {
+    kFull,    ///< the estimate that was asked for, whatever it is needed for
+    kAsNeeded ///< a rough one where everything fits at once anyway
+};
+
 /// Estimate, tree and schedule.
 /// @throws Cancelled, and as estimateWork(), buildWorkloadTree() and makeSchedule()
-PlanReport makePlan(const SparseGrid& grid, DeviceRequest request, Encoding encoding,
+PlanReport makePlan(const SparseGrid& grid, DeviceRequest request, Encoding encoding, PlanDetail detail,
                     const ProgressSpan& span, SecondsReport& seconds);
 
 /// A plan, and the search by it. Fills the report's plan and run.

@@ -3,6 +3,9 @@
 #include <algorithm>
 #include <fstream>
 #include <sstream>
+#ifdef __GLIBC__
+#include <malloc.h>
+#endif
 #include <sys/resource.h>
 #include <unistd.h>
 
@@ -23,6 +26,14 @@ std::string procValue(const char* file, const std::string& key)
     return {};
 }
 
+// "key: n kB" of this process in bytes; 0 where the system does not tell.
+std::uint64_t statusBytes(const char* key)
+{
+    std::istringstream value(procValue("/proc/self/status", key));
+    std::uint64_t kibibytes = 0;
+    return value >> kibibytes ? kibibytes * 1024 : 0;
+}
+
 } // namespace
 
 std::string cpuName()
@@ -41,12 +52,26 @@ std::uint64_t machineMemoryBytes()
 std::uint64_t peakMemoryBytes()
 {
     // "VmHWM: n kB" can be reset, ru_maxrss cannot.
-    std::istringstream value(procValue("/proc/self/status", "VmHWM"));
-    std::uint64_t kibibytes = 0;
-    if (value >> kibibytes) return kibibytes * 1024;
+    if (const std::uint64_t bytes = statusBytes("VmHWM")) return bytes;
     rusage usage = {};
     getrusage(RUSAGE_SELF, &usage);
     return static_cast<std::uint64_t>(usage.ru_maxrss) * 1024;
+}
+
+std::uint64_t residentMemoryBytes()
+{
+    const std::uint64_t bytes = statusBytes("VmRSS");
+    return bytes ? bytes : peakMemoryBytes();
+}
+
+void returnFreedMemory()
+{
+#ifdef __GLIBC__
+    // By itself glibc raises this threshold to the largest block that was freed, up to 32 MiB, and keeps smaller ones.
+    constexpr int kLargeBlockBytes = 1 << 20;
+    mallopt(M_MMAP_THRESHOLD, kLargeBlockBytes);
+    malloc_trim(0);
+#endif
 }
 
 void resetPeakMemory()

@@ -16,6 +16,12 @@ std::uint64_t machineMemoryBytes();
 /// Most memory this process has had resident, since it began or since resetPeakMemory().
 std::uint64_t peakMemoryBytes();
 
+/// Memory of this process that is resident now.
+std::uint64_t residentMemoryBytes();
+
+/// Gives freed memory back to the system, and large blocks from now on as soon as they are freed.
+void returnFreedMemory();
+
 /// Starts the peak anew where the system allows it.
 void resetPeakMemory();
 

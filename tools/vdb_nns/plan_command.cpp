@@ -120,7 +120,8 @@ int planFile(const PlanFlags& flags, SearchOptions options, const DeviceRequest&
     SearchEngine engine;
     const SparseGrid grid = engine.buildGrid(file.view(), report.radius, options);
     report.seconds.grid = report.seconds.firstGrid = gridWatch.seconds();
-    report.plan = makePlan(grid, request, options.encoding, {progress, 0.8, 1}, report.seconds);
+    report.plan =
+        makePlan(grid, request, options.encoding, PlanDetail::kFull, {progress, 0.8, 1}, report.seconds);
     fillReport(grid, options, report);
     throwIfStopped();
     deliver(flags, grid, report);

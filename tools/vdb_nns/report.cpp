@@ -122,6 +122,7 @@ Json planJson(const SearchReport& report)
     Json plan;
     plan["in_core"] = true;
     plan["encoding"] = encodingName(report.encoding);
+    plan["straight_to_file"] = report.straightToFile;
     plan["blocks"] = nullptr;
     plan["largest_block_cells"] = nullptr;
     plan["device_particles"] = 0;
@@ -400,7 +401,10 @@ std::string searchReportText(const SearchReport& report)
     text += line("skipped", countText(report.nonfinite) + " not finite");
     text += line("cells", countText(report.cells) + " in " + countText(report.leaves) + " leaves, edge " +
                               format("%.6g", report.cellSize));
-    text += line("lists", std::string(encodingName(report.encoding)) + ", " + bytesText(report.listBytes));
+    const std::string lists = std::string(encodingName(report.encoding)) + ", " + bytesText(report.listBytes);
+    text +=
+        line("lists",
+             report.straightToFile ? "straight to the file, counts " + bytesText(report.listBytes) : lists);
     text += line("memory", "grid " + bytesText(report.gridBytes) + ", peak " + bytesText(report.peakBytes));
     if (report.checksum) text += line("checksum", checksumText(*report.checksum));
     if (report.run) text += runText(report);

@@ -53,6 +53,7 @@ struct SearchReport {
     std::uint64_t leaves = 0, cells = 0, gridBytes = 0, listBytes = 0;
     DeviceReport device;
     Encoding encoding = Encoding::kIndex;
+    bool straightToFile = false; ///< lists were not held: their rows went to the file as they came
     std::uint64_t candidateTests = 0, doublePairs = 0, exactPairs = 0;
     std::string simd;
     std::optional<PlanReport> plan;       ///< empty where nothing was planned

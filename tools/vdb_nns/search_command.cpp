@@ -1,7 +1,9 @@
 // vdb_nns search: reads particles, finds neighbors, writes lists and attributes, reports.
 #include "cli_options.h"
 #include "command.h"
+#include "device_plan.h"
 #include "exit_codes.h"
+#include "host_memory.h"
 #include "machine.h"
 #include "numbers.h"
 #include "report.h"
@@ -26,7 +28,8 @@ struct SearchFlags {
     InputFlags input;
     EngineFlags engine;
     std::vector<std::string> outputs;
-    std::string device = "auto", encoding, lists = "connectivity", attributes = "count", prefix = "nns_";
+    DeviceFlags device;
+    std::string encoding, lists = "connectivity", attributes = "count", prefix = "nns_";
     std::string repeat = "1", nonfinite = "skip";
     bool checksum = false;
 };
@@ -37,7 +40,9 @@ struct SearchPlan {
     SearchOptions options;
     int threads = 0;
     std::uint64_t repeat = 1;
-    bool writesNpz = false, writesVdb = false;
+    OutputKinds outputs;
+    DeviceRequest devices;
+    bool straightToFile = false; // no lists are held: rows are made again and go to the .npz as they come
 };
 
 void addFlags(CLI::App& app, SearchFlags& flags)
@@ -50,13 +55,14 @@ void addFlags(CLI::App& app, SearchFlags& flags)
         ->allow_extra_args(false)
         ->check(notEmpty());
     addInputFlags(app, flags.input, true);
-    app.add_option("--device", flags.device, "what searches: auto, cpu, cuda or cuda:N")
-        ->type_name("DEVICE")
-        ->capture_default_str();
+    addDeviceFlags(app, flags.device);
     addEngineFlags(app, flags.engine);
+    app.get_option("--host-memory")
+        ->description("most memory that the program may use, the points included (KB MB GB: powers of 1000; "
+                      "K M G T KiB MiB GiB: of 1024); default: what is free, less a reserve");
     app.add_option("--encoding", flags.encoding,
-                   "how lists are held: index, mask or none; default: what the outputs need, "
-                   "mask where index lists do not fit")
+                   "how lists are held: index, mask or none; default: what the outputs need, mask where "
+                   "index lists do not fit. Where neither fits, the rows of an .npz go straight to the file")
         ->type_name("NAME")
         ->check(CLI::IsMember({"index", "mask", "none"}));
     app.add_option("--lists", flags.lists, "values of an .npz: connectivity (ones) or distance")
@@ -81,22 +87,6 @@ void addFlags(CLI::App& app, SearchFlags& flags)
     addCommonFlags(app, flags.common);
 }
 
-// The CPU is all there is; a device that is asked for by name and is not there stops the run.
-void checkDevice(const std::string& device)
-{
-    if (device == "auto" || device == "cpu") return;
-    const bool cuda = device.compare(0, 4, "cuda") == 0;
-    const std::string number = cuda && device.size() > 5 && device[4] == ':' ? device.substr(5) : "";
-    const bool numbered =
-        !number.empty() && number.size() < 10 &&
-        std::all_of(number.begin(), number.end(), [](unsigned char c) { return std::isdigit(c); });
-    if (device != "cuda" && !numbered) {
-        throw InvalidInput("--device: '" + device + "' is not a device; use auto, cpu, cuda or cuda:N");
-    }
-    throw DeviceError("--device " + device + ": this build cannot search on CUDA devices (CUDA: " +
-                      std::string(cudaBuild()) + "); use --device cpu");
-}
-
 void checkAttributes(const SearchFlags& flags)
 {
     if (flags.attributes != "count") {
@@ -116,8 +106,8 @@ void checkOutputKinds(const SearchFlags& flags, SearchPlan& plan)
     const bool inputIsVdb = extensionOf(flags.input.path) == ".vdb";
     for (const std::string& path : flags.outputs) {
         const std::string extension = extensionOf(path);
-        plan.writesNpz |= extension == ".npz";
-        plan.writesVdb |= extension == ".vdb";
+        plan.outputs.npz |= extension == ".npz";
+        plan.outputs.vdb |= extension == ".vdb";
         if (extension != ".npz" && extension != ".vdb") {
             throw InvalidInput(path + ": the extension '" + extension +
                                "' is not known; use .npz for lists or .vdb for "
@@ -128,7 +118,7 @@ void checkOutputKinds(const SearchFlags& flags, SearchPlan& plan)
                                flags.input.path + " is not; use -o x.npz");
         }
     }
-    if (plan.writesNpz && flags.encoding == "none") {
+    if (plan.outputs.npz && flags.encoding == "none") {
         throw InvalidInput(
             "--encoding none keeps no lists, and an .npz output needs them; use index or mask");
     }
@@ -139,7 +129,7 @@ Encoding chooseEncoding(const SearchFlags& flags, const SearchPlan& plan)
     if (flags.encoding == "index") return Encoding::kIndex;
     if (flags.encoding == "mask") return Encoding::kMask;
     if (flags.encoding == "none") return Encoding::kNone;
-    if (plan.writesNpz) return Encoding::kIndex;
+    if (plan.outputs.npz) return Encoding::kIndex;
     return flags.checksum ? Encoding::kMask : Encoding::kNone;
 }
 
@@ -155,7 +145,6 @@ SearchPlan checkFlags(const SearchFlags& flags)
     checkAttributes(flags);
     checkOutputKinds(flags, plan);
     plan.options.encoding = chooseEncoding(flags, plan);
-    checkDevice(flags.device);
     checkOutputs(flags.outputs, {flags.input.path}, flags.common);
     return plan;
 }
@@ -168,7 +157,7 @@ void checkFile(const SearchFlags& flags, const SearchPlan& plan, const PointFile
                           std::to_string(file.info().points) +
                           " points have a NaN or infinite coordinate; --nonfinite skip leaves them out");
     }
-    if (!plan.writesVdb || flags.common.force) return;
+    if (!plan.outputs.vdb || flags.common.force) return;
     const std::string name = flags.prefix + "count";
     for (const AttributeInfo& attribute : file.info().attributes) {
         if (attribute.name == name) {
@@ -178,44 +167,88 @@ void checkFile(const SearchFlags& flags, const SearchPlan& plan, const PointFile
     }
 }
 
-// Lists in the encoding of the plan. Where nobody asked for index lists and they do not fit, masks serve: the output is the
-// same, and they take a quarter of the memory or less.
-NeighborLists searchGrid(SearchEngine& engine, const SparseGrid& grid, const SearchFlags& flags,
-                         SearchPlan& plan)
+// Whether particles that are near each other in space mostly have numbers that are near too, as those of a .vdb do.
+bool isNumberedAlongSpace(const SparseGrid& grid)
 {
-    try {
-        return engine.search(grid, plan.options);
-    } catch (const CapacityError& error) {
-        if (!flags.encoding.empty() || plan.options.encoding != Encoding::kIndex) throw;
-        if (!flags.common.quiet) {
-            std::fprintf(stderr, "vdb_nns: %s; they are held as masks instead\n", error.what());
+    constexpr std::size_t kSamples = 1024;
+    constexpr std::uint32_t kNear = 4096;
+    const Span<const std::uint32_t> numbers = grid.particleNumbers();
+    if (numbers.size() < 2) return true;
+    std::size_t near = 0;
+    for (std::size_t k = 0; k < kSamples; ++k) {
+        const std::size_t slot = (numbers.size() - 1) * k / kSamples;
+        const std::uint32_t a = numbers[slot], b = numbers[slot + 1];
+        near += std::max(a, b) - std::min(a, b) < kNear;
+    }
+    return 2 * near > kSamples;
+}
+
+// What serves where lists of the plan's encoding do not fit, with the same output. Rows that go straight to an .npz are the
+// fastest where their order is about that of the file; else masks, which take a quarter of the memory or less. False:
+// nothing is left.
+bool takeLess(const SparseGrid& grid, const SearchFlags& flags, SearchPlan& plan)
+{
+    const bool isFree = flags.encoding.empty() && plan.options.encoding == Encoding::kIndex;
+    const bool mayStream =
+        plan.outputs.npz && plan.options.encoding != Encoding::kNone && flags.encoding != "mask";
+    if (isFree && !(mayStream && isNumberedAlongSpace(grid))) {
+        plan.options.encoding = Encoding::kMask;
+        return true;
+    }
+    if (!mayStream) return false;
+    plan.options.encoding = Encoding::kNone;
+    plan.straightToFile = true;
+    return true;
+}
+
+// Lists in the encoding of the plan, or in the one that fits.
+NeighborLists searchGrid(SearchEngine& engine, const SparseGrid& grid, const SearchFlags& flags,
+                         const HostMemory& memory, SearchPlan& plan, const ProgressSpan& span,
+                         SearchReport& report)
+{
+    for (;;) {
+        try {
+            SearchOptions options = plan.options;
+            options.hostMemoryBytes = memory.listBytes(grid, options.encoding);
+            if (plan.devices.devices.empty()) return engine.search(grid, options);
+            return searchOnDevices(engine, grid, plan.devices, options, span, report);
+        } catch (const CapacityError& error) {
+            if (!takeLess(grid, flags, plan)) throw;
+            if (flags.common.quiet) continue;
+            std::fprintf(stderr, "vdb_nns: %s; %s\n", error.what(),
+                         plan.straightToFile ? "rows go straight to the file instead"
+                                             : "they are held as masks instead");
         }
     }
-    plan.options.encoding = Encoding::kMask;
-    return engine.search(grid, plan.options);
 }
 
 // Grid and lists, `repeat` times with buffers kept; the last lists are returned.
 NeighborLists runSearch(SearchEngine& engine, const ParticleView& view, double radius,
-                        const SearchFlags& flags, SearchPlan& plan, ProgressPrinter& progress,
-                        SecondsReport& seconds)
+                        const SearchFlags& flags, const HostMemory& memory, SearchPlan& plan,
+                        ProgressPrinter& progress, SearchReport& report)
 {
     constexpr double kReadShare = 0.2, kSearchShare = 0.6; // rough shares of a run, for progress only
     std::vector<double> gridSeconds, searchSeconds;
     NeighborLists lists;
     for (std::uint64_t run = 0; run < plan.repeat; ++run) {
-        lists = NeighborLists(); // frees what the engine may use again
+        lists = NeighborLists();                         // frees what the engine may use again
+        if (memory.isBounded()) engine = SearchEngine(); // the grid's sort needs the room of the last lists
         const double step = kSearchShare / static_cast<double>(plan.repeat);
         const double from = kReadShare + step * static_cast<double>(run);
         progress.begin("grid", from, from + step / 3);
         const Stopwatch gridWatch;
+        plan.options.hostMemoryBytes = memory.gridBytes();
         const SparseGrid grid = engine.buildGrid(view, radius, plan.options);
+        if (memory.isBounded()) returnFreedMemory();
         gridSeconds.push_back(gridWatch.seconds());
         progress.begin("search", from + step / 3, from + step);
         const Stopwatch searchWatch;
-        lists = searchGrid(engine, grid, flags, plan);
-        searchSeconds.push_back(searchWatch.seconds());
+        lists =
+            searchGrid(engine, grid, flags, memory, plan, {progress, from + step / 3, from + step}, report);
+        searchSeconds.push_back(searchWatch.seconds() - report.seconds.estimate.value_or(0) -
+                                report.seconds.plan.value_or(0));
     }
+    SecondsReport& seconds = report.seconds;
     seconds.firstGrid = gridSeconds.front();
     seconds.firstSearch = searchSeconds.front();
     seconds.grid = median(std::move(gridSeconds));
@@ -227,9 +260,9 @@ NeighborLists runSearch(SearchEngine& engine, const ParticleView& view, double r
 std::uint64_t visitChecksum(SearchEngine& engine, const SparseGrid& grid, const SearchOptions& options)
 {
     tbb::combinable<std::uint64_t> sums([] { return std::uint64_t{0}; });
-    engine.visit(
+    engine.visitRows(
         grid,
-        [&](std::uint32_t query, Span<const std::uint32_t> neighbors, Span<const double>) {
+        [&](std::uint32_t query, Span<const std::uint32_t> neighbors) {
             std::uint64_t sum = 0;
             for (const std::uint32_t neighbor : neighbors)
                 sum += mix64((std::uint64_t{query} << 32) + neighbor);
@@ -239,17 +272,30 @@ std::uint64_t visitChecksum(SearchEngine& engine, const SparseGrid& grid, const 
     return sums.combine([](std::uint64_t a, std::uint64_t b) { return a + b; });
 }
 
-void makeChecksum(SearchEngine& engine, const SearchFlags& flags, const SearchOptions& options,
+void makeChecksum(SearchEngine& engine, const SearchFlags& flags, const SearchPlan& plan,
                   const NeighborLists& lists, SearchReport& report)
 {
-    const bool stored = lists.encoding() != Encoding::kNone;
-    if (!flags.checksum && (flags.common.json.empty() || !stored)) return;
+    const bool stored = lists.encoding() != Encoding::kNone, wanted = stored || plan.straightToFile;
+    if (!flags.checksum && (flags.common.json.empty() || !wanted)) return;
     const Stopwatch watch;
-    report.checksum = stored ? lists.checksum() : visitChecksum(engine, lists.grid(), options);
+    report.checksum = stored ? lists.checksum() : visitChecksum(engine, lists.grid(), plan.options);
     report.seconds.checksum = watch.seconds();
 }
 
-void writeOutputs(const SearchFlags& flags, const PointFile& file, const NeighborLists& lists,
+void writeLists(const std::string& path, SearchEngine& engine, const NeighborLists& lists,
+                const SearchFlags& flags, const SearchPlan& plan, const HostMemory& memory)
+{
+    const ListValues values = flags.lists == "distance" ? ListValues::kDistance : ListValues::kConnectivity;
+    if (plan.straightToFile) {
+        writeNpzDirect(path, engine, lists, values, flags.common.force, memory.bufferBytes(lists.grid()),
+                       plan.options);
+    } else {
+        writeNpz(path, lists, values, flags.common.force, plan.options.progress);
+    }
+}
+
+void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const SearchPlan& plan,
+                  const HostMemory& memory, const PointFile& file, const NeighborLists& lists,
                   ProgressPrinter& progress, SearchReport& report)
 {
     if (flags.outputs.empty()) return;
@@ -259,9 +305,7 @@ void writeOutputs(const SearchFlags& flags, const PointFile& file, const Neighbo
         const double from = 0.8 + share * static_cast<double>(report.written.size());
         progress.begin("write", from, from + share);
         if (extensionOf(path) == ".npz") {
-            const ListValues values =
-                flags.lists == "distance" ? ListValues::kDistance : ListValues::kConnectivity;
-            writeNpz(path, lists, values, flags.common.force, &progress);
+            writeLists(path, engine, lists, flags, plan, memory);
         } else {
             const std::vector<std::uint32_t> counts = lists.counts();
             file.writeVdb(path, {counts.data(), counts.size()}, flags.prefix, flags.common.force, &progress);
@@ -271,13 +315,15 @@ void writeOutputs(const SearchFlags& flags, const PointFile& file, const Neighbo
     report.seconds.write = watch.seconds();
 }
 
-void fillReport(const SearchEngine& engine, const SearchOptions& options, const NeighborLists& lists,
-                SearchReport& report)
+void fillReport(const SearchEngine& engine, const SearchPlan& plan, const HostMemory& memory,
+                const NeighborLists& lists, SearchReport& report)
 {
     const SparseGrid& grid = lists.grid();
-    fillGridReport(grid, options, report);
+    fillGridReport(grid, plan.options, report);
+    if (memory.isBounded()) report.device.budgetBytes = memory.boundBytes();
     report.listBytes = lists.bytes();
-    report.encoding = lists.encoding();
+    report.encoding = plan.straightToFile ? Encoding::kIndex : lists.encoding();
+    report.straightToFile = plan.straightToFile;
     report.candidateTests = countCandidateTests(grid);
     report.doublePairs = engine.statistics().doublePairs;
     report.exactPairs = engine.statistics().exactPairs;
@@ -285,10 +331,24 @@ void fillReport(const SearchEngine& engine, const SearchOptions& options, const 
     report.result = lists.statistics();
 }
 
+// The search beside the points, which are in memory. Errors say where the bound went.
+NeighborLists searchWithin(HostMemory& memory, SearchEngine& engine, const ParticleView& view,
+                           const SearchFlags& flags, SearchPlan& plan, ProgressPrinter& progress,
+                           SearchReport& report)
+{
+    memory.beginSearch();
+    try {
+        return runSearch(engine, view, report.radius, flags, memory, plan, progress, report);
+    } catch (const CapacityError& error) {
+        throw CapacityError(error.what() + memory.explanation(), error.neededBytes(), error.allowedBytes());
+    }
+}
+
 int searchFile(const SearchFlags& flags, SearchPlan plan, int threads, Session& session)
 {
     const Stopwatch total;
     ProgressPrinter progress(progressMode(flags.common));
+    HostMemory memory(plan.options.hostMemoryBytes, threads, plan.outputs);
     plan.options.progress = &progress;
     SearchReport report;
     report.path = flags.input.path;
@@ -309,11 +369,10 @@ int searchFile(const SearchFlags& flags, SearchPlan plan, int threads, Session& 
     }
 
     SearchEngine engine;
-    const NeighborLists lists =
-        runSearch(engine, file.view(), report.radius, flags, plan, progress, report.seconds);
-    fillReport(engine, plan.options, lists, report);
-    makeChecksum(engine, flags, plan.options, lists, report);
-    writeOutputs(flags, file, lists, progress, report);
+    const NeighborLists lists = searchWithin(memory, engine, file.view(), flags, plan, progress, report);
+    fillReport(engine, plan, memory, lists, report);
+    makeChecksum(engine, flags, plan, lists, report);
+    writeOutputs(engine, flags, plan, memory, file, lists, progress, report);
     throwIfStopped();
     progress.finish();
     report.peakBytes = peakMemoryBytes();
@@ -333,8 +392,9 @@ int searchFile(const SearchFlags& flags, SearchPlan plan, int threads, Session& 
 
 int runSearchCommand(const SearchFlags& flags, Session& session)
 {
-    const SearchPlan plan = checkFlags(flags);
+    SearchPlan plan = checkFlags(flags);
     ThreadLimit threads(plan.threads);
+    plan.devices = deviceRequest(flags.device, threads.count());
     return threads.run([&] { return searchFile(flags, plan, threads.count(), session); });
 }
 

@@ -1,0 +1,137 @@
+"""--host-memory: the most memory of the whole process. Whatever the bound takes away, the file is the same."""
+import filecmp
+import os
+
+import numpy as np
+
+from cli_case import CliCase, limit_file_size
+
+MB = 10 ** 6
+
+
+class Bound(CliCase):
+    def setUp(self):
+        super().setUp()
+        self.free, self.out = self.path("free.npz"), self.path("bounded.npz")
+
+    def search(self, path, *args):
+        """Without a bound: what the bounded runs are compared with."""
+        self.args = (path, *args)
+        report = self.report("search", *self.args, "-o", self.free)
+        self.assertIsNone(report["device"]["budget_bytes"])
+        return report
+
+    def bounded(self, megabytes, encoding, list_bytes_below, *args):
+        """Within the bound, in the encoding, with the same file and the same result; returns the report."""
+        with self.subTest(megabytes=megabytes, args=args):
+            if "-T" not in args:
+                args = (*args, "-T", "2")  # something is kept for every thread
+            report = self.report("search", *self.args, "-o", self.out, "-f", "--host-memory", f"{megabytes}MB", *args)
+            self.assertLessEqual(report["memory"]["peak_rss_bytes"], megabytes * MB)
+            self.assertEqual(report["device"]["budget_bytes"], megabytes * MB)
+            self.assertEqual(report["plan"]["encoding"], encoding)
+            self.assertLess(report["memory"]["list_bytes"], list_bytes_below)
+            self.assertTrue(filecmp.cmp(self.free, self.out, shallow=False))
+            self.assertEqual(sorted(name for name in os.listdir(self.folder) if "tmp" in name), [])
+            return report
+
+    def test_index_then_straight_to_the_file(self):
+        # 31 M pairs: 124 MB as indices, about 25 as masks. The program alone is some 45 MB.
+        path = self.scene("block", 300000)
+        free = self.search(path, "-r", "0.3")
+        pair_bytes = 4 * free["result"]["pairs"]
+        self.assertGreater(free["memory"]["peak_rss_bytes"], 45 * MB + pair_bytes)
+        for threads in ("1", "2"):
+            for megabytes, encoding, most in ((300, "index", 1.1 * pair_bytes), (200, "index", 9 * 300000),
+                                              (110, "index", 9 * 300000)):
+                report = self.bounded(megabytes, encoding, most, "-T", threads)
+                self.assertEqual(report["result"], free["result"])
+                self.assertEqual(report["plan"]["candidate_tests"], free["plan"]["candidate_tests"])
+        self.bounded(110, "index", 9 * 300000, "--repeat", "2")
+        self.bounded(200, "index", 9 * 300000, "--encoding", "index")
+        self.fails(4, "search", *self.args, "-o", self.path("x.npz"), "--encoding", "mask", "-T", "2", "--host-memory",
+                   "120MB", says=["mask lists need", "bytes", "--host-memory, which is 120000000"])
+
+    def test_index_mask_file(self):
+        # Numbered at random, each row would be a write of its own: masks first. Who asks for indices is not given masks.
+        points = np.random.default_rng(1).random((300000, 3)) * 30
+        free = self.search(self.npy("random.npy", points), "-r", "1.3")
+        pair_bytes = 4 * free["result"]["pairs"]
+        for megabytes, encoding, most in ((300, "index", 1.1 * pair_bytes), (190, "mask", 0.35 * pair_bytes),
+                                          (110, "index", 9 * 300000)):
+            report = self.bounded(megabytes, encoding, most)
+            self.assertEqual(report["result"], free["result"])
+        self.bounded(190, "index", 9 * 300000, "--encoding", "index")
+        for megabytes, says in ((190, "index lists need [0-9]+ bytes .* held as masks"),
+                                (110, "mask lists need [0-9]+ bytes .* straight to the file")):
+            done = self.succeeds("search", *self.args, "-o", self.out, "-f", "--host-memory", f"{megabytes}MB", "-T", "2")
+            self.assertRegex(done.err, says)
+
+    def test_it_says_what_it_does(self):
+        path = self.scene("block", 300000)
+        flags = ("search", path, "-r", "0.3", "-o", self.out, "-f", "--host-memory", "110MB", "-T", "2")
+        done = self.succeeds(*flags)
+        self.assertRegex(done.err, "index lists need [0-9]+ bytes .* straight to the file")
+        self.assertIn("straight to the file", done.out)
+        self.assertEqual(self.succeeds(*flags, "-q").err, "")
+
+    def test_distances(self):
+        self.search(self.scene("block", 300000), "-r", "0.25", "--lists", "distance")
+        self.bounded(110, "index", 9 * 300000)
+
+    def test_random_order_nonfinite_and_empty_rows(self):
+        rng = np.random.default_rng(1)
+        points = rng.random((200000, 3)) * 30
+        points[rng.integers(0, len(points), 500)] = np.nan
+        alone = 1000 + 10 * np.arange(300).reshape(-1, 1) * np.ones(3)
+        points = np.concatenate([points[:100000], alone, points[100000:], np.full((100, 3), np.inf)])
+        free = self.search(self.npy("random.npy", points), "-r", "1.2")
+        self.assertGreater(free["input"]["nonfinite"], 500)
+        self.assertGreater(free["result"]["isolated"], 1300 - 500)
+        for threads in ("1", "2"):
+            report = self.bounded(110, "index", 9 * len(points), "-T", threads)
+            self.assertEqual(report["result"], free["result"])
+
+    def test_crowds(self):
+        # Rows of up to thousands of neighbors beside nearly empty ones.
+        rng = np.random.default_rng(1)
+        points = np.concatenate([rng.normal(0, 0.05, (40000, 3)), rng.random((60000, 3)) * 2])
+        free = self.search(self.npy("crowd.npy", points), "-r", "0.04")
+        self.assertGreater(free["result"]["max"], 2000)
+        self.bounded(110, "index", 9 * len(points))
+
+    def test_attributes_beside_lists(self):
+        path = self.scene("block", 300000)
+        self.search(path, "-r", "0.3", "-o", self.path("free.vdb"))
+        self.args = (path, "-r", "0.3", "-o", self.path("bounded.vdb"))
+        self.bounded(125, "index", 9 * 300000)
+        counts = [self.report("info", self.path(name))["attributes"] for name in ("free.vdb", "bounded.vdb")]
+        self.assertEqual(counts[0], counts[1])
+        self.assertEqual(os.path.getsize(self.path("free.vdb")), os.path.getsize(self.path("bounded.vdb")))
+
+    def test_interrupted_by_a_full_disk(self):
+        path = self.scene("block", 300000)
+        os.mkdir(self.path("out"))
+        self.fails(6, "search", path, "-r", "0.3", "-o", self.path("out/x.npz"), "--host-memory", "110MB", "-T", "2",
+                   "-q", says="x.npz", preexec_fn=limit_file_size(50 * MB))
+        self.assertEqual(os.listdir(self.path("out")), [])
+
+
+class TooLittle(CliCase):
+    def test_less_than_the_points(self):
+        path = self.scene()
+        for size in ("10K", "20MB"):
+            self.fails(4, "search", path, "-o", self.path("x.npz"), "--host-memory", size,
+                       says=["points alone need", "bytes", "--host-memory"])
+
+    def test_less_than_the_grid(self):
+        path = self.scene("block", 300000)
+        self.fails(4, "search", path, "-o", self.path("x.npz"), "--host-memory", "80MB",
+                   says=["grid of 300000 particles", "bytes", "--host-memory, which is 80000000"])
+
+    def test_less_than_the_counts(self):
+        # Leaves that are taken over from the file need no sort, which would have left room for counts.
+        path = self.scene("block", 2000000)
+        done = self.fails(4, "search", path, "-r", "0.15", "-o", self.path("x.npz"), "--host-memory", "147MB", "-T",
+                          "1", says=["the grid and the counts of 2000000 particles need", "bytes", "--host-memory"])
+        self.assertIn("index lists need", done.err)

@@ -1,0 +1,102 @@
+#include "host_memory.h"
+
+#include "machine.h"
+#include "vdb_nns/error.h"
+#include "vdb_nns/particle_view.h"
+
+#include <algorithm>
+
+namespace vdb_nns::cli {
+namespace {
+
+constexpr std::uint64_t kMiB = std::uint64_t(1) << 20;
+// The dozen large arrays of a search each end inside of a huge page of 2 MiB; and the heap's own losses.
+constexpr std::uint64_t kArrayReserve = 24 * kMiB;
+// A thread's scratch, stack and heap. Scratch is 48 bytes for each particle of a leaf and its halo.
+constexpr std::uint64_t kThreadReserve = 4 * kMiB;
+// writeNpz(): two blocks of 2 M pairs and their ends.
+constexpr std::uint64_t kNpzWriter = 52 * kMiB;
+// What a thread of writeNpzDirect() collects: enough for writes of many rows; more than the largest need not be.
+constexpr std::uint64_t kLeastBuffer = 1 * kMiB, kLargestBuffer = 256 * kMiB;
+// OpenVDB's writer; and the counts and the attribute, for each particle.
+constexpr std::uint64_t kVdbWriter = 16 * kMiB, kVdbWriterPerPoint = 8;
+// The tasks of a search, for each leaf; and for each the start of its mask rows, once more while they are ordered.
+constexpr std::uint64_t kTaskBytes = 16, kMaskTaskBytes = 32;
+// The way to the mask rows of each cell.
+constexpr std::uint64_t kMaskCellBytes = 16;
+// From a particle's number to its row; the row's count; its place in a file that rows go straight to.
+constexpr std::uint64_t kNumberBytes = 4, kCountBytes = 4, kPlaceBytes = 5;
+
+std::uint64_t difference(std::uint64_t from, std::uint64_t bytes)
+{
+    return from > bytes ? from - bytes : 0;
+}
+
+} // namespace
+
+HostMemory::HostMemory(std::uint64_t boundBytes, int threads, const OutputKinds& outputs)
+    : mBoundBytes(boundBytes), mThreads(static_cast<std::uint64_t>(threads)), mOutputs(outputs)
+{
+    if (isBounded()) returnFreedMemory();
+}
+
+void HostMemory::beginSearch()
+{
+    if (!isBounded()) return;
+    returnFreedMemory();
+    mUsedBytes = residentMemoryBytes();
+    mReserveBytes = kArrayReserve + mThreads * kThreadReserve;
+    // Reading may have taken more than it kept.
+    const std::uint64_t needed = std::max(peakMemoryBytes(), mUsedBytes + mReserveBytes);
+    if (needed >= mBoundBytes) {
+        throw CapacityError("the points alone need " + std::to_string(needed) + " bytes, allowed are " +
+                                std::to_string(mBoundBytes) + explanation() + ": allow more host memory",
+                            needed, mBoundBytes);
+    }
+    mFreeBytes = mBoundBytes - mUsedBytes - mReserveBytes;
+}
+
+// Of the outputs, which are written one after the other, the largest need. Without lists an .npz is written directly.
+std::uint64_t HostMemory::writerBytes(std::uint64_t points, Encoding encoding) const
+{
+    const std::uint64_t npz =
+        encoding == Encoding::kNone ? kPlaceBytes * points + mThreads * kLeastBuffer : kNpzWriter;
+    return std::max(mOutputs.npz ? npz : 0, mOutputs.vdb ? kVdbWriter + kVdbWriterPerPoint * points : 0);
+}
+
+std::uint64_t HostMemory::listBytes(const SparseGrid& grid, Encoding encoding) const
+{
+    if (!isBounded()) return 0;
+    const std::uint64_t points = grid.view().size(), leaves = grid.leafCount();
+    std::uint64_t beside = kNumberBytes * points + kTaskBytes * leaves + writerBytes(points, encoding);
+    if (encoding == Encoding::kMask) {
+        beside += kMaskTaskBytes * leaves + kMaskCellBytes * (grid.cellCount() + leaves);
+    }
+    const std::uint64_t needed = grid.bytes() + kCountBytes * points + beside;
+    if (needed > mFreeBytes && encoding == Encoding::kNone) {
+        throw CapacityError("the grid and the counts of " + std::to_string(points) + " particles need " +
+                                std::to_string(needed) + " bytes, allowed are " + std::to_string(mFreeBytes) +
+                                ": allow more host memory, or search a part of the particles at a time",
+                            needed, mFreeBytes);
+    }
+    return std::max<std::uint64_t>(1, difference(mFreeBytes, beside)); // 0 would be no bound
+}
+
+std::uint64_t HostMemory::bufferBytes(const SparseGrid& grid) const
+{
+    if (!isBounded()) return 0;
+    const std::uint64_t points = grid.view().size();
+    const std::uint64_t held =
+        grid.bytes() + (kNumberBytes + kCountBytes + kPlaceBytes) * points + kTaskBytes * grid.leafCount();
+    return std::clamp(difference(mFreeBytes, held), mThreads * kLeastBuffer, mThreads * kLargestBuffer);
+}
+
+std::string HostMemory::explanation() const
+{
+    if (!isBounded()) return {};
+    return " (of --host-memory, which is " + std::to_string(mBoundBytes) +
+           ", the program and the points use " + std::to_string(mUsedBytes) + ", and " +
+           std::to_string(mReserveBytes) + " are kept for the threads and for what arrays lose)";
+}
+
+} // namespace vdb_nns::cli

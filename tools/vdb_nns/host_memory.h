@@ -1,0 +1,51 @@
+// What --host-memory SIZE, the most memory that the process may have resident, leaves for each step of a search.
+#pragma once
+
+#include "vdb_nns/neighbor_lists.h"
+#include "vdb_nns/search_options.h"
+#include "vdb_nns/sparse_grid.h"
+
+#include <cstdint>
+#include <string>
+
+namespace vdb_nns::cli {
+
+/// The outputs of a search, for what writing them takes.
+struct OutputKinds {
+    bool npz = false, vdb = false;
+};
+
+class HostMemory {
+public:
+    /// @param boundBytes 0: no bound; then all functions below return 0 and check nothing.
+    HostMemory(std::uint64_t boundBytes, int threads, const OutputKinds& outputs);
+
+    bool isBounded() const { return mBoundBytes > 0; }
+    std::uint64_t boundBytes() const { return mBoundBytes; }
+
+    /// Takes the points' memory from the bound, once they are read.
+    /// @throws CapacityError when nothing is left
+    void beginSearch();
+
+    /// SearchOptions::hostMemoryBytes while the grid is made.
+    std::uint64_t gridBytes() const { return mFreeBytes; }
+
+    /// SearchOptions::hostMemoryBytes while lists are made.
+    /// @throws CapacityError for counts that do not fit; of other lists the search itself finds that out
+    std::uint64_t listBytes(const SparseGrid& grid, Encoding encoding) const;
+
+    /// What the threads of writeNpzDirect() may collect together.
+    std::uint64_t bufferBytes(const SparseGrid& grid) const;
+
+    /// Where the bound went, as the end of a sentence; empty without bound.
+    std::string explanation() const;
+
+private:
+    std::uint64_t writerBytes(std::uint64_t points, Encoding encoding) const;
+
+    std::uint64_t mBoundBytes, mThreads;
+    OutputKinds mOutputs;
+    std::uint64_t mUsedBytes = 0, mReserveBytes = 0, mFreeBytes = 0;
+};
+
+} // namespace vdb_nns::cli
