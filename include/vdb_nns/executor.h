@@ -30,7 +30,7 @@ struct DeviceRun {
     std::string failure;         ///< why it did no more; empty when nothing was wrong
 };
 
-/// What a run did. Decisions are made in virtual time, so all of it is the same in every run.
+/// What a run did. Decisions are made in virtual time, so all of it but collectSeconds is the same in every run.
 struct ScheduleRun {
     std::vector<DeviceRun> devices; ///< in the order of the limits
     std::uint64_t cpuBlocks = 0;    ///< and parts of blocks that TBB workers ran
@@ -44,6 +44,7 @@ struct ScheduleRun {
     std::uint64_t tooLargeQueries = 0;     ///< of the CPU's: 32 of them with their candidates fit no device
     std::vector<std::uint64_t> blockPairs; ///< pairs found, by block of the schedule
     double cpuBusySeconds = 0;             ///< virtual
+    double collectSeconds = 0;             ///< of all threads together, measured: rows of blocks into lists
     double seconds = 0;                    ///< virtual: when the last of all was done
 };
 

@@ -48,6 +48,7 @@ struct ScheduleOptions {
 /// The queries of a range of leaves, or a range of the queries of one leaf.
 struct Block {
     static constexpr int kOnCpu = -1;
+    static constexpr std::uint64_t kFewestQueries = 32; ///< of a part of a leaf: a warp
 
     Vec3i origin{};    ///< cell coordinates
     int log2Cells = 0; ///< as of its node; WorkloadNode::kRoot for everything at once

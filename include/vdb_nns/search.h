@@ -66,7 +66,7 @@ public:
     /// that refuses memory is asked for less, and what fits no device is run by TBB workers; `report` counts all of that.
     /// Host memory besides the lists: what the devices hold in their slots, once for staging; for simulated devices once more.
     /// @throws DeviceError when a device fails, under DeviceFailure::kStop, or is not there
-    /// @throws CapacityError when the lists cannot fit
+    /// @throws CapacityError when the lists cannot fit beside that
     /// @throws InvalidInput for a schedule of another grid; Cancelled
     NeighborLists search(const SparseGrid& grid, const Schedule& schedule,
                          const std::vector<DeviceLimits>& devices, const RunOptions& options,

@@ -28,7 +28,7 @@ struct MemoryModel {
         64; ///< which of its cells a device runs, without halo
     static constexpr std::uint64_t kBlockBytes =
         16 + 4 + 64;                                  ///< ends of leaves and cells; vectors read past the end
-    static constexpr std::uint64_t kResultBytes = 16; ///< pairs and bytes of a block's rows
+    static constexpr std::uint64_t kResultBytes = 32; ///< pairs, bytes of rows, pairs of the slower tests
     static constexpr std::uint64_t kMaskLeafBytes = 8;  ///< where the masks of a leaf begin
     static constexpr std::uint64_t kMaskBlockBytes = 8; ///< a row is written 64 bits at a time
 

@@ -25,12 +25,11 @@ Work workOf(const SparseGridData& grid, std::uint32_t leaf)
     LeafNeighborhood neighborhood;
     grid.topology.neighborhoods({&grid.leafOrigins[leaf], 1}, &neighborhood);
     Work work;
-    forEachOccupiedCell(
-        grid, leaf, neighborhood, [&](std::uint32_t begin, std::uint32_t end, std::uint64_t candidates) {
-            const std::uint64_t queries = end - begin;
-            work += {queries, share * static_cast<double>(queries * candidates), queries * candidates,
-                     queries * ((candidates + 31) / 32) * sizeof(std::uint32_t)};
-        });
+    forEachOccupiedCell(blockViewOf(grid), leaf, neighborhood, [&](const OccupiedCell& cell) {
+        const std::uint64_t queries = cell.end - cell.begin, tests = queries * cell.candidates;
+        work += {queries, share * static_cast<double>(tests), tests,
+                 queries * cell.rowWords() * sizeof(std::uint32_t)};
+    });
     return work;
 }
 

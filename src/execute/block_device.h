@@ -21,12 +21,6 @@ struct BlockSearch {
     std::uint64_t resultBytes; // room for it
 };
 
-// Where the parts of a result stand, in bytes from its begin.
-struct ResultLayout {
-    std::uint64_t counts, leafRows, rows;
-};
-ResultLayout resultLayout(const BlockImage& image, Encoding encoding);
-
 // The device has not so much memory left.
 class OutOfDeviceMemory : public DeviceError {
 public:
@@ -40,11 +34,11 @@ class BlockDevice {
 public:
     virtual ~BlockDevice() = default;
 
-    // Memory of the device, until it is destroyed or everything is released. Throws OutOfDeviceMemory.
+    // Memory of the device, and host memory that transfers are fast from and to; until everything is released, or the
+    // device destroyed. Throws OutOfDeviceMemory for either.
     virtual std::byte* allocate(std::uint64_t bytes) = 0;
-    virtual void releaseAll() = 0;
-    // Host memory that transfers are fast from and to, until the device is destroyed.
     virtual std::byte* allocateStaging(std::uint64_t bytes) = 0;
+    virtual void releaseAll() = 0;
 
     virtual void upload(int slot, std::byte* device, const std::byte* staging, std::uint64_t bytes) = 0;
     // A result that finds no room is counted on to its true size, in its ResultHead and its counts; its rows are unusable.

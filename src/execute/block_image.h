@@ -10,6 +10,7 @@
 #pragma once
 
 #include "grid/sparse_grid_data.h"
+#include "vdb_nns/search_options.h"
 #include "vdb_nns/workload_tree.h"
 #include "workload/block_halo.h"
 
@@ -57,7 +58,14 @@ BlockImage writeImage(const SparseGridData& grid, const BlockPart& part, std::by
 // and no rows.
 struct ResultHead {
     std::uint64_t pairs;
-    std::uint64_t rowBytes; // of all rows, those that found no room included
+    std::uint64_t rowBytes;              // of all rows, those that found no room included
+    std::uint64_t bandPairs, exactPairs; // for SearchStatistics
 };
+
+// Where the parts of a result stand, in bytes from its begin.
+struct ResultLayout {
+    std::uint64_t leafRows, counts, rows;
+};
+ResultLayout resultLayout(const BlockImage& image, Encoding encoding);
 
 } // namespace vdb_nns

@@ -26,23 +26,6 @@ std::string gigabytes(std::uint64_t bytes)
 
 } // namespace
 
-std::vector<Piece> makePieces(const SparseGridData& grid)
-{
-    const auto threads = static_cast<std::size_t>(tbb::this_task_arena::max_concurrency());
-    const std::size_t most = std::clamp<std::size_t>(grid.particleCount() / (16 * threads), 1024, 16384);
-    std::vector<Piece> pieces;
-    pieces.reserve(grid.leafCount());
-    for (std::uint32_t l = 0; l < grid.leafCount(); ++l) {
-        const std::uint64_t first = grid.leaves[l].firstSlot, count = grid.leaves[l + 1].firstSlot - first;
-        const std::uint64_t parts = (count + most - 1) / most;
-        for (std::uint64_t p = 0; p < parts; ++p) {
-            pieces.push_back({l, static_cast<std::uint32_t>(first + count * p / parts),
-                              static_cast<std::uint32_t>(first + count * (p + 1) / parts)});
-        }
-    }
-    return pieces;
-}
-
 void checkOptions(const SearchOptions& options)
 {
     if (options.reach < 0 || options.reach > 3) {
@@ -121,7 +104,7 @@ void EngineState::checkCapacity(const SearchRun& run, Encoding encoding, std::ui
     const std::size_t particles = run.grid.particleCount();
     if (particles == 0) return;
     const auto bytesOf = [&](ThreadState& state, const SearchTask& task) -> std::uint64_t {
-        if (encoding == Encoding::kMask) return maskBytes(run.grid, task);
+        if (encoding == Encoding::kMask) return maskBytes(run.context.block, task);
         const std::uint64_t before = state.statistics.pairs;
         state.sink.slotBase = 0;
         state.sink.rowCount = counts;
@@ -173,16 +156,23 @@ std::shared_ptr<NeighborListsData> EngineState::beginLists(const SparseGrid& spa
 }
 
 std::uint64_t EngineState::allowRows(const SearchRun& run, const SearchOptions& options,
-                                     NeighborListsData& result, ChunkPool& pool)
+                                     std::uint64_t otherBytes, NeighborListsData& result, ChunkPool& pool)
 {
     const std::size_t particles = run.grid.particleCount();
     result.rowCount.resizeDiscarding(particles);
     if (result.encoding == Encoding::kIndex) result.rowBegin.resizeDiscarding(particles);
-    if (result.encoding == Encoding::kNone) return 0;
     const std::uint64_t held = run.grid.bytes() + result.rowCount.usedBytes() + result.rowBegin.usedBytes();
-    const std::uint64_t allowed = options.hostMemoryBytes
-                                      ? options.hostMemoryBytes - std::min(held, options.hostMemoryBytes)
-                                      : availableMemoryBytes() + pool.freeBytes();
+    const std::uint64_t free = options.hostMemoryBytes
+                                   ? options.hostMemoryBytes - std::min(held, options.hostMemoryBytes)
+                                   : availableMemoryBytes() + pool.freeBytes();
+    if (otherBytes > free) {
+        throw CapacityError("the slots of the devices need " + gigabytes(otherBytes) +
+                                " of host memory, allowed are " + gigabytes(free) +
+                                ": allow more host memory or give devices less",
+                            otherBytes, free);
+    }
+    if (result.encoding == Encoding::kNone) return 0;
+    const std::uint64_t allowed = free - otherBytes;
     checkCapacity(run, result.encoding, allowed, result.rowCount.data());
     pool.begin(allowed, particles);
     return allowed;
@@ -196,7 +186,10 @@ void EngineState::makeRows(const SearchRun& run, const SearchTask& task, ThreadS
     state.sink.rowBegin = result.rowBegin.data();
     state.sink.rowCount = result.rowCount.data();
     runTask(run, run.rowKernel(result.encoding), state, task);
-    if (result.encoding == Encoding::kMask) state.maskRuns.push_back({task.firstSlot, state.sink.taskBegin});
+    if (result.encoding != Encoding::kMask) return;
+    state.maskRuns.push_back({task.firstSlot, state.sink.taskBegin});
+    state.maskBytes +=
+        static_cast<std::uint64_t>(state.sink.out - state.sink.taskBegin) * sizeof(std::uint32_t);
 }
 
 void EngineState::finishLists(const SearchRun& run, ChunkPool& pool, NeighborListsData& result)

@@ -52,9 +52,10 @@ struct EngineState {
 
     // Empty lists of a grid, in the memory of the last ones where nobody else reads those.
     std::shared_ptr<NeighborListsData> beginLists(const SparseGrid& grid, Encoding encoding);
-    // Makes the arrays by slot, and hands what lists may use to `pool`. Returns those bytes; 0 without lists.
-    std::uint64_t allowRows(const SearchRun& run, const SearchOptions& options, NeighborListsData& result,
-                            ChunkPool& pool);
+    // Makes the arrays by slot, and hands what lists may use beside `otherBytes` of the run to `pool`. Returns those bytes; 0
+    // without lists. Throws CapacityError.
+    std::uint64_t allowRows(const SearchRun& run, const SearchOptions& options, std::uint64_t otherBytes,
+                            NeighborListsData& result, ChunkPool& pool);
     // The rows of a task, in its encoding, to memory of `pool`. Throws ChunkPool::Exhausted.
     void makeRows(const SearchRun& run, const SearchTask& task, ThreadState& state, ChunkPool& pool,
                   NeighborListsData& result);

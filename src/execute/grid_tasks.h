@@ -26,7 +26,7 @@ struct Piece {
 // enough that filling the halo again for each piece stays below a few per cent of its tests.
 std::vector<Piece> makePieces(const SparseGridData& grid);
 
-// Runs `run(state, task)` for the pieces, and f(state) after each range of them.
+// Runs `run(state, task)` for the pieces.
 template <typename Run>
 void forEachTask(const SparseGridData& grid, const std::vector<Piece>& pieces, ThreadStates& states,
                  const CancelCheck& cancel, Run&& run)
@@ -72,26 +72,25 @@ void forEachWantedCell(const BlockView& block, const SearchTask& task, F&& f)
     }
 }
 
-// Calls f(queries, candidates) for each occupied cell of a leaf that has slots in [first, end): how many of its particles
-// are among them, and the particles of the cells in reach.
+// Calls f(queries, candidates) for each cell with queries of a task: how many, and the particles of the cells in reach.
 template <typename F>
-void forEachCandidateCount(const SparseGridData& grid, const SearchTask& task, F&& f)
+void forEachCandidateCount(const BlockView& block, const SearchTask& task, F&& f)
 {
     LeafNeighborhood neighborhood;
     std::copy_n(task.neighborhood, 27, neighborhood.leaf);
-    forEachOccupiedCell(grid, task.leaf, neighborhood,
-                        [&](std::uint32_t cellBegin, std::uint32_t cellEnd, std::uint64_t candidates) {
-                            const std::uint32_t begin = std::max(cellBegin, task.firstSlot),
-                                                end = std::min(cellEnd, task.endSlot);
-                            if (begin < end) f(end - begin, candidates);
-                        });
+    forEachOccupiedCell(block, task.leaf, neighborhood, [&](const OccupiedCell& cell) {
+        if (task.cells && !(task.cells[cell.x] & cell.bit)) return;
+        const std::uint32_t begin = std::max(cell.begin, task.firstSlot),
+                            end = std::min(cell.end, task.endSlot);
+        if (begin < end) f(end - begin, cell.candidates);
+    });
 }
 
 // Bytes of the mask rows of a task.
-inline std::uint64_t maskBytes(const SparseGridData& grid, const SearchTask& task)
+inline std::uint64_t maskBytes(const BlockView& block, const SearchTask& task)
 {
     std::uint64_t words = 0;
-    forEachCandidateCount(grid, task, [&](std::uint64_t queries, std::uint64_t candidates) {
+    forEachCandidateCount(block, task, [&](std::uint64_t queries, std::uint64_t candidates) {
         words += queries * ((candidates + 31) / 32);
     });
     return words * sizeof(std::uint32_t);

@@ -4,6 +4,7 @@
 #include "execute/run_schedule.h"
 
 #include "execute/block_image.h"
+#include "execute/collector.h"
 #include "execute/job_queue.h"
 #include "execute/simulated_device.h"
 #include "schedule/dispatcher.h"
@@ -12,10 +13,10 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <cstring>
 #include <deque>
 #include <iterator>
-#include <mutex>
 #include <numeric>
 #include <optional>
 #include <string>
@@ -25,8 +26,12 @@ namespace vdb_nns {
 
 namespace {
 
-constexpr std::uint32_t kFewestQueries = 32; // of a part of a leaf: a warp
-constexpr int kAnyLeaves = 3;                // for haloOf(): any range of leaves, not a cube
+constexpr int kAnyLeaves = 3; // for haloOf(): any range of leaves, not a cube
+
+double now()
+{
+    return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
 
 // What is left of a block of the schedule: all of it, or a part after a split.
 struct RunBlock {
@@ -39,31 +44,8 @@ struct RunBlock {
     double expectedPairs;
 
     std::uint64_t queries() const { return part.endSlot - part.firstSlot; }
-};
-
-// Memory for the rows of blocks, in large pieces.
-class RowStore {
-public:
-    explicit RowStore(ChunkPool& pool) : mPool(pool) {}
-
-    // Throws ChunkPool::Exhausted.
-    std::uint32_t* take(std::uint64_t bytes)
-    {
-        const std::uint64_t entries = bytes / sizeof(std::uint32_t);
-        const std::lock_guard<std::mutex> lock(mMutex);
-        if (static_cast<std::uint64_t>(mEnd - mNext) < entries) {
-            std::size_t taken = 0;
-            mNext = static_cast<std::uint32_t*>(mPool.take(bytes, taken));
-            mEnd = mNext + taken / sizeof(std::uint32_t);
-        }
-        mNext += entries;
-        return mNext - entries;
-    }
-
-private:
-    ChunkPool& mPool;
-    std::mutex mMutex;
-    std::uint32_t *mNext = nullptr, *mEnd = nullptr;
+    // TBB workers have the queries outside of it now.
+    void leaveOutside() { item.tests -= std::exchange(item.outsideTests, 0); }
 };
 
 // A block on a device.
@@ -73,6 +55,7 @@ struct Flight {
     std::atomic<bool> ended{false};
     ResultHead head{};
     std::uint64_t bytesDown = 0, particles = 0;
+    double collectSeconds = 0;
     bool overflowed = false;
     std::vector<std::uint32_t> counts; // of its queries, after an overflow
     std::string failure;
@@ -113,7 +96,7 @@ public:
           mLists(lists),
           mPool(pool),
           mReport(report),
-          mRows(pool),
+          mCollector(run.grid, mEncoding, lists, pool),
           mPairs(schedule.blocks.size())
     {
     }
@@ -134,6 +117,8 @@ private:
     RunBlock partOf(const RunBlock& whole, std::uint32_t firstLeaf, std::uint32_t endLeaf,
                     std::uint32_t firstSlot, std::uint32_t endSlot, const Counts& counts) const;
     void again(RunBlock block);
+    void giveUp(const RunBlock& block);
+    std::uint64_t wantedQueries(const BlockPart& part) const;
 
     // Jobs.
     void runPieces(std::size_t block, std::size_t first, std::size_t end, const BlockPart& part);
@@ -141,8 +126,9 @@ private:
                          std::uint32_t endSlot);
     void runTask(std::size_t block, const SearchTask& task);
     void stage(RunBlock& block);
+    void requireRoom(const RunBlock& block, std::uint64_t slotBytes) const;
     void runFlight(Executor& executor, Flight& flight);
-    void collect(Flight& flight, const ResultLayout& layout, const std::byte* result);
+    void showProgress() const;
 
     EngineState& mEngine;
     const SearchRun& mRun;
@@ -152,7 +138,7 @@ private:
     NeighborListsData& mLists;
     ChunkPool& mPool;
     ScheduleRun& mReport;
-    RowStore mRows;
+    Collector mCollector;
     std::vector<DeviceLimits> mLimits;   // with the slots that there are
     std::vector<std::uint64_t> mBudgets; // most bytes of a block, by device
     std::vector<Executor> mExecutors;
@@ -202,13 +188,8 @@ void ScheduleRunner::makeItems()
         block.log2Cells = planned.log2Cells;
         block.withHalo = planned.withHalo;
         block.expectedPairs = planned.work.expectedPairs;
-        block.item = {b, planned.work.candidateTests, 0, planned.bytes, mEncoding != Encoding::kIndex};
-        if (!planned.withHalo && planned.work.particles > 0) {
-            block.item.outsideTests =
-                static_cast<std::uint64_t>(static_cast<double>(planned.halo.boundaryQueries) /
-                                           static_cast<double>(planned.work.particles) *
-                                           static_cast<double>(planned.work.candidateTests));
-        }
+        block.item = {b, planned.work.candidateTests, boundaryTests(planned), planned.bytes,
+                      mEncoding != Encoding::kIndex};
         if (planned.firstSlot != next || planned.endSlot <= planned.firstSlot ||
             planned.endLeaf > grid.leafCount() || planned.firstLeaf >= planned.endLeaf ||
             planned.firstSlot < grid.leaves[planned.firstLeaf].firstSlot ||
@@ -289,9 +270,7 @@ void ScheduleRunner::handOut()
             return block.item.bytes.total() <= budget;
         });
         if (!fits && !mBudgets.empty()) {
-            mReport.tooLargeQueries += block.queries();
-            mDispatcher->addCpuTests(block.item.tests);
-            startOnCpu(block);
+            giveUp(block);
         } else {
             items.push_back(block.item);
         }
@@ -312,7 +291,7 @@ void ScheduleRunner::handOut()
                 if (!whole.isStaged) {
                     stage(whole);
                     mDispatcher->addCpuTests(whole.item.outsideTests);
-                    whole.item.outsideTests = 0;
+                    whole.leaveOutside();
                 }
                 split(whole, {});
             } else {
@@ -369,6 +348,7 @@ void ScheduleRunner::runPieces(std::size_t block, std::size_t first, std::size_t
         }
         runTask(block, task);
     }
+    showProgress();
 }
 
 void ScheduleRunner::runBoundaryLeaf(std::size_t block, const CellSet& set, std::uint32_t firstSlot,
@@ -429,6 +409,20 @@ void ScheduleRunner::stage(RunBlock& block)
     block.isStaged = true;
 }
 
+// A schedule of another grid may say less than its blocks take; nothing is written then.
+void ScheduleRunner::requireRoom(const RunBlock& block, std::uint64_t slotBytes) const
+{
+    using M = MemoryModel;
+    std::uint64_t needed =
+        imageBytes(mRun.grid, block.part) + M::kResultBytes + block.queries() * M::kCountBytes;
+    if (mEncoding == Encoding::kMask)
+        needed += (block.part.endLeaf - block.part.firstLeaf) * M::kMaskLeafBytes;
+    if (needed <= slotBytes) return;
+    throw InvalidInput("block " + std::to_string(block.block) + " needs " + std::to_string(needed) +
+                       " bytes and more, and the schedule has " + std::to_string(slotBytes) +
+                       " for it: it is not of this grid");
+}
+
 void ScheduleRunner::runFlight(Executor& executor, Flight& flight)
 {
     const Slot& slot = executor.slots[flight.slot];
@@ -437,6 +431,7 @@ void ScheduleRunner::runFlight(Executor& executor, Flight& flight)
     try {
         mRun.cancel.check();
         stage(flight.block);
+        requireRoom(flight.block, executor.slotBytes);
         const BlockImage image = writeImage(mRun.grid, flight.block.part, slot.staging, slot.device);
         device.upload(number, slot.device, slot.staging, image.bytes);
         std::byte* const result = slot.device + image.bytes;
@@ -456,69 +451,17 @@ void ScheduleRunner::runFlight(Executor& executor, Flight& flight)
             device.download(number, slot.staging + layout.rows, result + layout.rows, flight.head.rowBytes);
             device.wait(number);
             flight.bytesDown += flight.head.rowBytes;
-            collect(flight, layout, slot.staging);
+            const double start = now();
+            flight.particles =
+                mCollector.collect(flight.block.part, layout, slot.staging, mEngine.states.local());
+            flight.collectSeconds = now() - start;
+            mPairs[flight.block.block] += flight.head.pairs;
         }
     } catch (const DeviceError& error) {
         flight.failure = error.what();
         if (flight.failure.empty()) flight.failure = "unknown";
     }
     flight.ended = true;
-}
-
-// Puts the rows of a block where they stay. Reads what was downloaded, and the grid; nothing of the device's.
-void ScheduleRunner::collect(Flight& flight, const ResultLayout& layout, const std::byte* result)
-{
-    const SparseGridData& grid = mRun.grid;
-    const BlockPart& part = flight.block.part;
-    ThreadState& state = mEngine.states.local();
-    const bool isMask = mEncoding == Encoding::kMask;
-    std::uint32_t* rows = nullptr;
-    if (flight.head.rowBytes > 0) {
-        rows = mRows.take(flight.head.rowBytes);
-        std::memcpy(rows, result + layout.rows, flight.head.rowBytes);
-    }
-    const auto* const counts = reinterpret_cast<const std::uint32_t*>(result + layout.counts);
-    const auto* const leafRows = reinterpret_cast<const std::uint64_t*>(result + layout.leafRows);
-    std::uint64_t at = 0; // entries of rows that are placed
-    const auto place = [&](std::uint32_t begin, std::uint32_t end) {
-        flight.particles += end - begin;
-        if (isMask) state.maskRuns.push_back({begin, rows + at});
-        std::copy_n(counts + (begin - part.firstSlot), end - begin, mLists.rowCount.data() + begin);
-        if (mEncoding != Encoding::kIndex) return;
-        for (std::uint32_t s = begin; s < end; ++s) {
-            mLists.rowBegin[s] = rows + at;
-            at += mLists.rowCount[s];
-        }
-    };
-    auto without = part.without.begin();
-    for (std::uint32_t l = part.firstLeaf; l < part.endLeaf; ++l) {
-        const std::uint32_t begin = std::max(grid.leaves[l].firstSlot, part.firstSlot),
-                            end = std::min(grid.leaves[l + 1].firstSlot, part.endSlot);
-        const bool isPartial = without != part.without.end() && without->leaf == l;
-        if (isMask) at = leafRows[l - part.firstLeaf];
-        if (!isPartial) {
-            if (begin < end) place(begin, end);
-            continue;
-        }
-        LeafNeighborhood neighborhood;
-        grid.topology.neighborhoods({&grid.leafOrigins[l], 1}, &neighborhood);
-        int x = 0;
-        std::uint64_t word = grid.leaves[l].occupancy[0];
-        forEachOccupiedCell(grid, l, neighborhood,
-                            [&](std::uint32_t cellBegin, std::uint32_t cellEnd, std::uint64_t candidates) {
-                                while (!word) word = grid.leaves[l].occupancy[++x];
-                                const std::uint64_t bit = word & -word;
-                                word &= ~bit;
-                                const std::uint32_t from = std::max(cellBegin, begin),
-                                                    to = std::min(cellEnd, end);
-                                if (without->cells[x] & bit || from >= to) return;
-                                place(from, to);
-                                if (isMask) at += (to - from) * ((candidates + 31) / 32);
-                            });
-        ++without;
-    }
-    state.statistics.pairs += flight.head.pairs;
-    mPairs[flight.block.block] += flight.head.pairs;
 }
 
 // ---- when a block has come back ------------------------------------------------------------------------------------
@@ -531,7 +474,7 @@ void ScheduleRunner::settleOldest(int device)
     const std::unique_ptr<Flight> flight = std::move(executor.flights.front());
     executor.flights.pop_front();
     mDispatcher->finish(device, flight->bytesDown);
-    flight->block.item.outsideTests = 0; // TBB workers have them
+    flight->block.leaveOutside();
     if (!flight->failure.empty()) {
         if (mOptions.onFailure == DeviceFailure::kStop) throw DeviceError(flight->failure);
         if (report.failure.empty()) report.failure = flight->failure;
@@ -549,6 +492,12 @@ void ScheduleRunner::settleOldest(int device)
     report.blocks += 1;
     report.particles += flight->particles;
     mDeviceParticles += flight->particles;
+    mReport.collectSeconds += flight->collectSeconds;
+    showProgress();
+}
+
+void ScheduleRunner::showProgress() const
+{
     mRun.cancel.update(static_cast<double>(mDeviceParticles + mCpuParticles) /
                        static_cast<double>(mRun.grid.particleCount()));
 }
@@ -557,15 +506,27 @@ void ScheduleRunner::settleOldest(int device)
 void ScheduleRunner::learn(const Flight& flight)
 {
     if (mEncoding != Encoding::kIndex || !(flight.block.expectedPairs > 0)) return;
-    std::uint64_t wanted = flight.block.queries();
-    for (const CellSet& set : flight.block.part.without)
-        wanted -= std::min(wanted, particlesIn(mRun.grid, set));
+    const std::uint64_t wanted = wantedQueries(flight.block.part);
     mActualPairs += static_cast<double>(flight.head.pairs);
     mExpectedPairs += flight.block.expectedPairs * static_cast<double>(wanted) /
                       static_cast<double>(flight.block.queries());
     if (mExpectedPairs > 0) {
-        mDispatcher->correct(std::max(1.0, mActualPairs / mExpectedPairs / (1 + mSchedule.model.margin)));
+        constexpr double kMost = 1e6;
+        const double ratio = mActualPairs / mExpectedPairs / (1 + mSchedule.model.margin);
+        mDispatcher->correct(std::clamp(ratio, 1.0, kMost));
     }
+}
+
+// Queries of a part, without those that others have.
+std::uint64_t ScheduleRunner::wantedQueries(const BlockPart& part) const
+{
+    std::uint64_t queries = part.endSlot - part.firstSlot;
+    for (const CellSet& set : part.without) {
+        const SearchTask task{set.leaf, part.firstSlot, part.endSlot, nullptr, set.cells};
+        forEachWantedCell(mRun.context.block, task,
+                          [&](const SearchTask& cell) { queries -= cell.endSlot - cell.firstSlot; });
+    }
+    return queries;
 }
 
 void ScheduleRunner::again(RunBlock block)
@@ -575,39 +536,53 @@ void ScheduleRunner::again(RunBlock block)
     mDispatcher->addFirst(block.item);
 }
 
+// TBB workers run what fits no device.
+void ScheduleRunner::giveUp(const RunBlock& block)
+{
+    mReport.tooLargeQueries += wantedQueries(block.part);
+    mDispatcher->addCpuTests(block.item.tests);
+    startOnCpu(block);
+}
+
 // Two halves of a block, and halves of those where what is known says that they do not fit either.
 void ScheduleRunner::split(const RunBlock& whole, const Counts& counts)
 {
     const SparseGridData& grid = mRun.grid;
     const BlockPart& part = whole.part;
-    if (whole.queries() <= kFewestQueries) {
-        mReport.tooLargeQueries += whole.queries();
-        mDispatcher->addCpuTests(whole.item.tests);
-        startOnCpu(whole);
-        return;
+    const bool isLeaf = part.endLeaf - part.firstLeaf == 1;
+    if (whole.queries() <= Block::kFewestQueries) {
+        const RunBlock known =
+            partOf(whole, part.firstLeaf, part.endLeaf, part.firstSlot, part.endSlot, counts);
+        if (counts.count) ++mReport.retries;
+        if (known.item.isExact && mDispatcher->fits(known.item.bytes.total())) return again(known);
+        return giveUp(known);
     }
-    ++(counts.count ? mReport.retries : mReport.splits);
-    const std::uint32_t middle = part.firstSlot + static_cast<std::uint32_t>(whole.queries() / 2);
-    std::vector<RunBlock> halves;
-    if (part.endLeaf - part.firstLeaf > 1) {
+    if (!counts.count) ++mReport.splits;
+    std::uint32_t leaf = part.firstLeaf,
+                  slot = part.firstSlot + static_cast<std::uint32_t>(whole.queries() / 2);
+    if (!isLeaf) {
         // Between leaves, where the particles are halved; each half has one leaf at least.
-        const auto end = std::partition_point(
-            grid.leaves.begin() + part.firstLeaf + 1, grid.leaves.begin() + part.endLeaf - 1,
-            [&](const LeafRecord& leaf) { return leaf.firstSlot < middle; });
-        const auto leaf = static_cast<std::uint32_t>(end - grid.leaves.begin());
-        const std::uint32_t slot = grid.leaves[leaf].firstSlot;
-        halves = {partOf(whole, part.firstLeaf, leaf, part.firstSlot, slot, counts),
-                  partOf(whole, leaf, part.endLeaf, slot, part.endSlot, counts)};
-    } else {
-        halves = {partOf(whole, part.firstLeaf, part.endLeaf, part.firstSlot, middle, counts),
-                  partOf(whole, part.firstLeaf, part.endLeaf, middle, part.endSlot, counts)};
+        const auto end = std::partition_point(grid.leaves.begin() + part.firstLeaf + 1,
+                                              grid.leaves.begin() + part.endLeaf - 1,
+                                              [&](const LeafRecord& l) { return l.firstSlot < slot; });
+        leaf = static_cast<std::uint32_t>(end - grid.leaves.begin());
+        slot = grid.leaves[leaf].firstSlot;
+    }
+    const RunBlock first =
+        partOf(whole, part.firstLeaf, isLeaf ? part.endLeaf : leaf, part.firstSlot, slot, counts);
+    const RunBlock second = partOf(whole, leaf, part.endLeaf, slot, part.endSlot, counts);
+    // A leaf's particles and halo stay with every part of it.
+    if (isLeaf && !mDispatcher->fits(first.item.bytes.up)) {
+        if (counts.count) ++mReport.retries;
+        return giveUp(whole);
     }
     // The second first: what is added last is taken first.
-    for (auto half = halves.rbegin(); half != halves.rend(); ++half) {
+    for (const RunBlock* half : {&second, &first}) {
         if (counts.count && !mDispatcher->fits(half->item.bytes.total()) && mDispatcher->fits(0)) {
             split(*half, counts);
         } else {
-            again(std::move(*half));
+            if (counts.count) ++mReport.retries;
+            again(*half);
         }
     }
 }
@@ -628,13 +603,19 @@ RunBlock ScheduleRunner::partOf(const RunBlock& whole, std::uint32_t firstLeaf, 
         whole.expectedPairs * static_cast<double>(half.queries()) / static_cast<double>(whole.queries());
     half.item.outsideTests = half.item.tests = 0;
     std::uint64_t words = 0;
+    auto without = half.part.without.begin();
     std::vector<LeafNeighborhood> neighborhoods(endLeaf - firstLeaf);
     grid.topology.neighborhoods({&grid.leafOrigins[firstLeaf], endLeaf - firstLeaf}, neighborhoods.data());
     for (std::uint32_t l = firstLeaf; l < endLeaf; ++l) {
-        const SearchTask task{l, std::max(firstSlot, grid.leaves[l].firstSlot),
-                              std::min(endSlot, grid.leaves[l + 1].firstSlot),
-                              neighborhoods[l - firstLeaf].leaf};
-        forEachCandidateCount(grid, task, [&](std::uint64_t queries, std::uint64_t candidates) {
+        SearchTask task{l, std::max(firstSlot, grid.leaves[l].firstSlot),
+                        std::min(endSlot, grid.leaves[l + 1].firstSlot), neighborhoods[l - firstLeaf].leaf};
+        std::uint64_t cells[8];
+        while (without != half.part.without.end() && without->leaf < l) ++without;
+        if (without != half.part.without.end() && without->leaf == l) {
+            for (int x = 0; x < 8; ++x) cells[x] = grid.leaves[l].occupancy[x] & ~without->cells[x];
+            task.cells = cells;
+        }
+        forEachCandidateCount(mRun.context.block, task, [&](std::uint64_t queries, std::uint64_t candidates) {
             half.item.tests += queries * candidates;
             words += queries * ((candidates + 31) / 32);
         });
@@ -653,6 +634,24 @@ RunBlock ScheduleRunner::partOf(const RunBlock& whole, std::uint32_t firstLeaf, 
         bytes.down += static_cast<std::uint64_t>(pairs < 0x1p58 ? pairs : 0x1p58) * M::kNeighborBytes;
     }
     return half;
+}
+
+// Host memory of the devices' slots: what is staged, and what a simulated device is made of.
+std::uint64_t hostBytesOf(const Schedule& schedule, const std::vector<DeviceLimits>& devices)
+{
+    std::uint64_t bytes = 0;
+    for (const DeviceLimits& device : devices) {
+        const std::uint64_t budget = schedule.inCore ? device.memoryBytes : blockBudget(device);
+        std::uint64_t largest = 0, blocks = 0;
+        for (const Block& block : schedule.blocks) {
+            if (block.bytes.total() > budget) continue;
+            largest = std::max(largest, block.bytes.total());
+            ++blocks;
+        }
+        const std::uint64_t slots = std::min(blocks, static_cast<std::uint64_t>(device.slots));
+        bytes += slots * largest * (device.kind == DeviceKind::kSim ? 2 : 1);
+    }
+    return bytes;
 }
 
 } // namespace
@@ -675,7 +674,8 @@ NeighborLists runSchedule(EngineState& engine, const SparseGrid& grid, const Sch
     const SearchRun run(grid.data(), options.search);
     engine.beginStatistics(options.search);
     ChunkPool pool(std::move(result->chunks));
-    const std::uint64_t allowed = engine.allowRows(run, options.search, *result, pool);
+    const std::uint64_t allowed =
+        engine.allowRows(run, options.search, hostBytesOf(schedule, devices), *result, pool);
     try {
         ScheduleRunner runner(engine, run, schedule, options, *result, pool, report);
         runner.execute(devices, makeDevice);

@@ -56,7 +56,7 @@ NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& 
     const SearchRun run(grid.data(), options);
     mImpl->beginStatistics(options);
     ChunkPool pool(std::move(result->chunks));
-    const std::uint64_t allowed = mImpl->allowRows(run, options, *result, pool);
+    const std::uint64_t allowed = mImpl->allowRows(run, options, 0, *result, pool);
     try {
         forEachTask(run.grid, run.pieces, mImpl->states, run.cancel,
                     [&](ThreadState& state, const SearchTask& task) {
@@ -162,7 +162,7 @@ std::uint64_t countCandidateTests(const SparseGrid& grid)
     forEachTask(grid.data(), makePieces(grid.data()), states, CancelCheck(nullptr, "count"),
                 [&](ThreadState&, const SearchTask& task) {
                     std::uint64_t sum = 0;
-                    forEachCandidateCount(grid.data(), task,
+                    forEachCandidateCount(blockViewOf(grid.data()), task,
                                           [&](std::uint64_t queries, std::uint64_t candidates) {
                                               sum += queries * candidates;
                                           });

@@ -20,7 +20,7 @@ struct SearchTask {
     std::uint32_t firstSlot, endSlot;  // queries, inside the leaf
     const std::uint32_t* neighborhood; // 27 leaf indices, see LeafNeighborhood
     const std::uint64_t* cells =
-        nullptr; // 8 words: only queries in these cells; null for all. One alone for masks; not for visits
+        nullptr; // 8 words: only queries in these cells; null for all. One alone for masks
 };
 
 // Decides the pairs in the filter's band; numbers are the caller's.

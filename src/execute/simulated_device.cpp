@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <new>
 #include <utility>
 
 namespace vdb_nns {
@@ -27,14 +28,16 @@ public:
     void search()
     {
         mState.exact = &mRun.exact;
+        // A block that is redone counts once: its statistics travel with its result.
+        const std::uint64_t exactBefore = mState.exactPairs;
         try {
             searchLeaves();
         } catch (const MasksDoNotFit&) {
             mEntries = std::max(countMaskWords(), mRoom + 1);
         }
-        const ResultHead head{mStatistics.pairs, mEntries * sizeof(std::uint32_t)};
+        const ResultHead head{mStatistics.pairs, mEntries * sizeof(std::uint32_t), mStatistics.bandPairs,
+                              std::exchange(mState.exactPairs, exactBefore) - exactBefore};
         std::memcpy(mBlock.result, &head, sizeof head);
-        mState.statistics.bandPairs += mStatistics.bandPairs; // pairs are added where they are collected
     }
 
     void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) override
@@ -51,37 +54,37 @@ private:
     {
         const BlockImage& image = mBlock.image;
         std::fill_n(mCounts, image.endQuery - image.firstQuery, 0u);
-        for (std::uint32_t l = 0; l < image.leaves; ++l) {
+        forEachTaskOfImage([&](const SearchTask& task) {
             mRun.cancel.check();
-            const std::uint32_t begin = std::max(image.block.leaves[l].firstSlot, image.firstQuery),
-                                end = std::min(image.block.leaves[l + 1].firstSlot, image.endQuery);
             if (mBlock.encoding == Encoding::kMask) {
-                reinterpret_cast<std::uint64_t*>(mBlock.result + mLayout.leafRows)[l] = mEntries;
+                reinterpret_cast<std::uint64_t*>(mBlock.result + mLayout.leafRows)[task.leaf] = mEntries;
             }
-            if (begin >= end) continue;
-            searchLeaf({l, begin, end, image.neighborhoods + std::size_t(l) * BlockImage::kNeighborhoodSize,
-                        image.cellsOf(l)});
-        }
+            searchLeaf(task);
+        });
     }
 
     // Masks that find no room are not made; how long all of them are follows from the cells.
     std::uint64_t countMaskWords() const
     {
-        const BlockImage& image = mBlock.image;
         std::uint64_t words = 0;
-        for (std::uint32_t l = 0; l < image.leaves; ++l) {
-            LeafNeighborhood neighborhood;
-            std::copy_n(image.neighborhoods + std::size_t(l) * BlockImage::kNeighborhoodSize, 27,
-                        neighborhood.leaf);
-            forEachOccupiedCell(
-                image.block, l, neighborhood,
-                [&](std::uint32_t cellBegin, std::uint32_t cellEnd, std::uint64_t candidates) {
-                    const std::uint32_t begin = std::max(cellBegin, image.firstQuery),
-                                        end = std::min(cellEnd, image.endQuery);
-                    if (begin < end) words += (end - begin) * ((candidates + 31) / 32);
-                });
-        }
+        forEachTaskOfImage([&](const SearchTask& task) {
+            words += maskBytes(mContext.block, task) / sizeof(std::uint32_t);
+        });
         return words;
+    }
+
+    // f(task) for each leaf with queries.
+    template <typename F>
+    void forEachTaskOfImage(F&& f) const
+    {
+        const BlockImage& image = mBlock.image;
+        for (std::uint32_t l = 0; l < image.leaves; ++l) {
+            const std::uint32_t begin = std::max(image.block.leaves[l].firstSlot, image.firstQuery),
+                                end = std::min(image.block.leaves[l + 1].firstSlot, image.endQuery);
+            if (begin >= end) continue;
+            f(SearchTask{l, begin, end, image.neighborhoods + std::size_t(l) * BlockImage::kNeighborhoodSize,
+                         image.cellsOf(l)});
+        }
     }
 
     std::uint32_t* at(std::uint64_t offset) const
@@ -131,20 +134,19 @@ private:
 
 } // namespace
 
-ResultLayout resultLayout(const BlockImage& image, Encoding encoding)
-{
-    ResultLayout layout{};
-    // 64-bit words first, so that they are aligned.
-    layout.leafRows = sizeof(ResultHead);
-    layout.counts = layout.leafRows + (encoding == Encoding::kMask ? std::uint64_t(image.leaves) * 8 : 0);
-    layout.rows = layout.counts + std::uint64_t(image.endQuery - image.firstQuery) * 4;
-    return layout;
-}
-
 SimulatedDevice::SimulatedDevice(std::string name, std::uint64_t budgetBytes, const SearchRun& run,
                                  ThreadStates& states)
     : mName(std::move(name)), mBudgetBytes(budgetBytes), mRun(run), mStates(states)
 {
+}
+
+// Memory that this machine has not is memory that the device has not.
+SimulatedDevice::Memory SimulatedDevice::hostMemory(std::uint64_t bytes) const
+{
+    std::byte* const memory = new (std::nothrow) std::byte[bytes];
+    if (!memory)
+        throw OutOfDeviceMemory(mName + ": this machine has no " + std::to_string(bytes) + " bytes for it");
+    return Memory(memory);
 }
 
 std::byte* SimulatedDevice::allocate(std::uint64_t bytes)
@@ -154,7 +156,7 @@ std::byte* SimulatedDevice::allocate(std::uint64_t bytes)
                                 std::to_string(mUsedBytes) + " of a budget of " +
                                 std::to_string(mBudgetBytes));
     }
-    mMemory.emplace_back(new std::byte[bytes]);
+    mMemory.push_back(hostMemory(bytes));
     mUsedBytes += bytes;
     mPeakBytes = std::max(mPeakBytes, mUsedBytes);
     return mMemory.back().get();
@@ -163,12 +165,13 @@ std::byte* SimulatedDevice::allocate(std::uint64_t bytes)
 void SimulatedDevice::releaseAll()
 {
     mMemory.clear();
+    mStaging.clear();
     mUsedBytes = 0;
 }
 
 std::byte* SimulatedDevice::allocateStaging(std::uint64_t bytes)
 {
-    mStaging.emplace_back(new std::byte[bytes]);
+    mStaging.push_back(hostMemory(bytes));
     return mStaging.back().get();
 }
 

@@ -29,6 +29,7 @@ public:
 private:
     // Of exactly the size that was asked for, so that a sanitizer sees the first byte past it.
     using Memory = std::unique_ptr<std::byte[]>;
+    Memory hostMemory(std::uint64_t bytes) const;
 
     std::string mName;
     std::uint64_t mBudgetBytes, mUsedBytes = 0, mPeakBytes = 0;

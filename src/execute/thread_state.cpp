@@ -28,8 +28,8 @@ void* ChunkPool::take(std::size_t bytes, std::size_t& takenBytes)
         block = std::move(*enough);
         *enough = std::move(mFree.back());
         mFree.pop_back();
-    } else {
-        bytes = std::max(bytes, mChunkBytes);
+    } else if (mTakenBytes + std::max(bytes, mChunkBytes) <= mAllowedBytes) {
+        bytes = std::max(bytes, mChunkBytes); // else no more than is needed
     }
     const std::size_t size = block.data() ? block.bytes() : bytes;
     if (mTakenBytes + size > mAllowedBytes) {
@@ -104,7 +104,6 @@ void ThreadState::reserveHalo(HaloScratch& scratch, std::size_t particles)
 void ThreadState::growRows(RowSink& sink, std::size_t entries)
 {
     auto& self = *static_cast<ThreadState*>(sink.owner);
-    self.maskBytes += entries * sizeof(std::uint32_t); // mask tasks ask once, for what they need
     if (static_cast<std::size_t>(sink.end - sink.out) >= entries) return;
     self.finishRows();
     std::size_t bytes = 0;

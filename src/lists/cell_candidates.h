@@ -46,7 +46,17 @@ inline BlockView blockViewOf(const SparseGridData& grid)
             grid.leaves.data(), grid.cellStart.data(), grid.reach};
 }
 
-// Calls f(first slot, end slot, candidates) for each occupied cell of a leaf.
+// An occupied cell of a leaf: its slots, the particles of the cells in its reach, and where it stands in the occupancy.
+struct OccupiedCell {
+    std::uint32_t begin, end;
+    std::uint64_t candidates;
+    int x;
+    std::uint64_t bit;
+
+    std::uint64_t rowWords() const { return (candidates + 31) / 32; } // of a mask row
+};
+
+// Calls f(OccupiedCell) for each occupied cell of a leaf, in the order of slots.
 template <typename F>
 void forEachOccupiedCell(const BlockView& block, std::uint32_t leafIndex,
                          const LeafNeighborhood& neighborhood, F&& f)
@@ -60,16 +70,9 @@ void forEachOccupiedCell(const BlockView& block, std::uint32_t leafIndex,
             forEachCandidateRun(
                 block, neighborhood, x, bit >> 3, bit & 7,
                 [&](std::uint32_t runBegin, std::uint32_t runEnd) { candidates += runEnd - runBegin; });
-            f(cell[0], cell[1], candidates);
+            f(OccupiedCell{cell[0], cell[1], candidates, x, word & -word});
         }
     }
-}
-
-template <typename F>
-void forEachOccupiedCell(const SparseGridData& grid, std::uint32_t leafIndex,
-                         const LeafNeighborhood& neighborhood, F&& f)
-{
-    forEachOccupiedCell(blockViewOf(grid), leafIndex, neighborhood, f);
 }
 
 } // namespace vdb_nns

@@ -6,6 +6,14 @@
 
 namespace vdb_nns {
 
+std::uint64_t boundaryTests(const Block& block)
+{
+    if (block.withHalo || block.work.particles == 0) return 0;
+    const double share =
+        static_cast<double>(block.halo.boundaryQueries) / static_cast<double>(block.work.particles);
+    return static_cast<std::uint64_t>(share * static_cast<double>(block.work.candidateTests));
+}
+
 Dispatcher::Dispatcher(const std::vector<DeviceLimits>& devices, std::vector<std::uint64_t> budgets,
                        const ScheduleOptions& options)
     : mDevices(devices), mBudgets(std::move(budgets)), mOptions(options), mRetired(devices.size(), false)
@@ -59,14 +67,16 @@ Dispatcher::Turn Dispatcher::giveToCpu(const Item& item)
 // To `free` if it fits, else to the first that it fits.
 Dispatcher::Turn Dispatcher::giveToDevices(const Item& item, std::size_t free)
 {
-    std::uint64_t bytes = item.bytes.total();
-    if (!item.isExact)
-        bytes += static_cast<std::uint64_t>((mRatio - 1) * static_cast<double>(item.bytes.down));
+    const double more = item.isExact ? 0 : (mRatio - 1) * static_cast<double>(item.bytes.down);
+    const auto fitsOn = [&](std::size_t d) {
+        return item.bytes.total() <= mBudgets[d] &&
+               more <= static_cast<double>(mBudgets[d] - item.bytes.total());
+    };
     std::size_t device = free;
-    for (std::size_t d = 0; d < mClocks.size() && bytes > mBudgets[device]; ++d) {
+    for (std::size_t d = 0; d < mClocks.size() && !fitsOn(device); ++d) {
         if (!mRetired[d]) device = d;
     }
-    if (bytes > mBudgets[device]) return {item.block, kTooLarge, 0, 0};
+    if (!fitsOn(device)) return {item.block, kTooLarge, 0, 0};
     const double start = mClocks[device].begin(item.tests - item.outsideTests, item.bytes.up);
     addCpuTests(item.outsideTests);
     return {item.block, static_cast<int>(device), start, 0};

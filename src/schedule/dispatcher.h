@@ -13,6 +13,9 @@
 
 namespace vdb_nns {
 
+// Tests of a block that are left to TBB workers when a device runs it.
+std::uint64_t boundaryTests(const Block& block);
+
 class Dispatcher {
 public:
     struct Item {
@@ -39,7 +42,7 @@ public:
     // A block to be taken before all others.
     void addFirst(const Item& item) { mAgain.push_back(item); }
     // Estimated downloads have turned out to be so many times as large.
-    void correct(double ratio) { mRatio = ratio; }
+    void correct(double ratio) { mRatio = ratio; } // 1 or more
 
     // No device that is in use may be full().
     std::optional<Turn> next();

@@ -16,8 +16,6 @@ namespace vdb_nns {
 
 namespace {
 
-constexpr std::uint64_t kFewestQueries = 32; // of a part of a leaf: a warp
-
 void check(const std::vector<DeviceLimits>& devices, const ScheduleOptions& options)
 {
     const auto isSpeed = [](double rate) { return rate > 0 && std::isfinite(rate); };
@@ -136,17 +134,15 @@ private:
             part.endSlot += warp.particles;
             warp = {};
         };
-        forEachOccupiedCell(
-            mGrid, leaf.firstLeaf, neighborhood,
-            [&](std::uint32_t cellBegin, std::uint32_t cellEnd, std::uint64_t candidates) {
-                for (std::uint64_t left = cellEnd - cellBegin; left > 0;) {
-                    const std::uint64_t queries = std::min(left, kFewestQueries - warp.particles);
-                    warp += {queries, pairsPerQuery * static_cast<double>(queries), queries * candidates,
-                             queries * ((candidates + 31) / 32) * sizeof(std::uint32_t)};
-                    left -= queries;
-                    if (warp.particles == kFewestQueries) addWarp();
-                }
-            });
+        forEachOccupiedCell(blockViewOf(mGrid), leaf.firstLeaf, neighborhood, [&](const OccupiedCell& cell) {
+            for (std::uint64_t left = cell.end - cell.begin; left > 0;) {
+                const std::uint64_t queries = std::min(left, Block::kFewestQueries - warp.particles);
+                warp += {queries, pairsPerQuery * static_cast<double>(queries), queries * cell.candidates,
+                         queries * cell.rowWords() * sizeof(std::uint32_t)};
+                left -= queries;
+                if (warp.particles == Block::kFewestQueries) addWarp();
+            }
+        });
         if (warp.particles > 0) addWarp();
         end();
     }
@@ -158,15 +154,6 @@ private:
     bool mWithHalo;
     std::vector<Block> mBlocks;
 };
-
-// Tests of a block that are left to TBB workers when a device runs it.
-std::uint64_t boundaryTests(const Block& block)
-{
-    if (block.withHalo || block.work.particles == 0) return 0;
-    const double share =
-        static_cast<double>(block.halo.boundaryQueries) / static_cast<double>(block.work.particles);
-    return static_cast<std::uint64_t>(share * static_cast<double>(block.work.candidateTests));
-}
 
 // Hands blocks out in predicted time.
 void handOut(const std::vector<DeviceLimits>& devices, const std::vector<std::uint64_t>& budgets,

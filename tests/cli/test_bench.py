@@ -85,6 +85,32 @@ class Bench(CliCase):
             self.assertEqual(by_name[name]["reserved_over_used"], 1)
         self.assertLess(abs(by_name["expected"]["bias"]), abs(by_name["uncorrected"]["bias"]))
         self.assertEqual(by_name["counted"]["counted_queries"], 50000)
+        self.expect_particle_errors(by_name)
+
+    def expect_particle_errors(self, by_name):
+        mean = self.report("search", self.scene("block", 50000))["result"]["mean"]
+        for name, entry in by_name.items():
+            keys = [entry[key] for key in ("particle_bias", "particle_rmse", "particle_correlation")]
+            if name not in ("paper", "uncorrected", "fixed"):
+                self.assertEqual(keys, [None, None, None], name)
+        for name in ("paper", "uncorrected"):
+            entry = by_name[name]
+            self.assertAlmostEqual(entry["particle_bias"], entry["bias"] * mean, delta=1e-3 * mean)
+            scatter = entry["particle_rmse"] ** 2 - entry["particle_bias"] ** 2
+            self.assertGreater(scatter, 0)
+            self.assertLess(scatter, by_name["fixed"]["particle_rmse"] ** 2)
+            self.assertGreater(entry["particle_correlation"], 0.5)
+            self.assertLess(entry["particle_correlation"], 1)
+        self.assertAlmostEqual(by_name["fixed"]["particle_bias"], 0, delta=1e-4)
+        self.assertIsNone(by_name["fixed"]["particle_correlation"])
+
+    def test_estimators_as_text(self):
+        out = self.succeeds("bench", "--scene", "spray", "-n", "2000", "--method", "ours-count", "--repeat", "1",
+                            "--sample", "0", "--estimator", "uncorrected,expected,fixed").out
+        table = out[out.index("of each particle"):].splitlines()[1:]
+        self.assertEqual([line.split()[0] for line in table], ["estimator", "uncorrected", "fixed"])
+        self.assertRegex(table[1], r"^uncorrected +[+-]\d+\.\d\d +\d+\.\d\d +0\.\d{4}$")
+        self.assertRegex(table[2], r" -$")
 
     def test_estimators_of_a_list(self):
         args = ("bench", "--scene", "block", "-n", "2000", "--method", "ours-count", "--repeat", "1", "--sample", "0")

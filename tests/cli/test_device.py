@@ -120,7 +120,7 @@ class Report(DeviceCase):
             self.assertIn(word, text)
 
     def test_an_estimate_far_too_small_is_redone(self):
-        # The fixed estimate reserves 64 neighbors a particle, and the masks of 5000 particles at one point are larger.
+        # The fixed estimate reserves 64 neighbors a particle, and 3000 particles at one point have 2999.
         path = self.scene("coincident", 3000)
         plain, out = self.path("plain.npz"), self.path("sim.npz")
         self.search(path, plain)

@@ -28,7 +28,7 @@ class Bound(CliCase):
                 args = (*args, "-T", "2")  # something is kept for every thread
             report = self.report("search", *self.args, "-o", self.out, "-f", "--host-memory", f"{megabytes}MB", *args)
             self.assertLessEqual(report["memory"]["peak_rss_bytes"], megabytes * MB)
-            self.assertEqual(report["device"]["budget_bytes"], megabytes * MB)
+            self.assertEqual(report["devices"][-1]["budget_bytes"], megabytes * MB)
             self.assertEqual(report["plan"]["encoding"], encoding)
             self.assertLess(report["memory"]["list_bytes"], list_bytes_below)
             self.assertTrue(filecmp.cmp(self.free, self.out, shallow=False))
@@ -74,6 +74,18 @@ class Bound(CliCase):
         self.assertRegex(done.err, "index lists need [0-9]+ bytes .* straight to the file")
         self.assertIn("straight to the file", done.out)
         self.assertEqual(self.succeeds(*flags, "-q").err, "")
+
+    def test_simulated_devices_are_within_the_bound(self):
+        # A device of 40 MB takes as much of this machine, and as much again for what is staged.
+        path = self.scene("block", 300000)
+        self.search(path, "-r", "0.3")
+        for flags in (["--device-memory", "40MB"], ["--device-memory", "10MB", "--boundary", "cpu"]):
+            for megabytes in (350, 220):
+                report = self.bounded(megabytes, "index", 1 << 40, "--device", "sim", *flags)
+                self.assertGreater(report["devices"][0]["particles"], 0)
+        self.fails(4, "search", path, "-r", "0.3", "--checksum", "--device", "sim", "--device-memory", "2GB",
+                   "--encoding", "index", "--host-memory", "130MB",
+                   says=["slots of the devices", "bytes", "--host-memory, which is 130000000"])
 
     def test_distances(self):
         self.search(self.scene("block", 300000), "-r", "0.25", "--lists", "distance")

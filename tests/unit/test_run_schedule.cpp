@@ -67,9 +67,15 @@ struct Case {
         if (lists.size() == 0) {
             SearchOptions options;
             options.encoding = encoding;
-            lists = SearchEngine().search(grid, options);
+            SearchEngine engine;
+            lists = engine.search(grid, options);
+            mStatistics[static_cast<std::size_t>(encoding)] = engine.statistics();
         }
         return lists;
+    }
+    const SearchStatistics& truthStatistics(Encoding encoding) const
+    {
+        return mStatistics[static_cast<std::size_t>(encoding)];
     }
 
     WorkloadTree tree(Encoding encoding, std::uint64_t nodeBytes, int blockLog2Cells = 0) const
@@ -97,6 +103,7 @@ struct Case {
 
 private:
     mutable NeighborLists mTruth[3];
+    mutable SearchStatistics mStatistics[3];
 };
 
 const Case& sceneCase(const std::string& name)
@@ -124,7 +131,11 @@ ScheduleRun expectRun(const Case& problem, const Schedule& schedule, const std::
     ScheduleRun report;
     EngineState engine;
     const NeighborLists lists = runSchedule(engine, problem.grid, schedule, devices, options, report, maker);
-    expectSameLists(lists, problem.truth(schedule.model.encoding));
+    const NeighborLists& truth = problem.truth(schedule.model.encoding);
+    expectSameLists(lists, truth);
+    EXPECT_EQ(lists.data().rowBytes, truth.data().rowBytes);
+    EXPECT_EQ(engine.statistics.doublePairs, problem.truthStatistics(schedule.model.encoding).doublePairs);
+    EXPECT_EQ(engine.statistics.exactPairs, problem.truthStatistics(schedule.model.encoding).exactPairs);
     expectAllRun(report, problem);
     EXPECT_EQ(std::accumulate(report.blockPairs.begin(), report.blockPairs.end(), std::uint64_t(0)),
               lists.pairCount());
@@ -212,8 +223,13 @@ TEST(RunSchedule, AnyNumberOfThreadsDecidesTheSame)
         EXPECT_EQ(report.cpuBusySeconds, reports[0].cpuBusySeconds);
         EXPECT_EQ(report.cpuParticles, reports[0].cpuParticles);
         EXPECT_EQ(report.overflows, reports[0].overflows);
+        EXPECT_EQ(report.retries, reports[0].retries);
+        EXPECT_EQ(report.splits, reports[0].splits);
+        EXPECT_EQ(report.cpuBlocks, reports[0].cpuBlocks);
+        EXPECT_EQ(report.blockPairs, reports[0].blockPairs);
         for (std::size_t d = 0; d < 2; ++d) {
             EXPECT_EQ(report.devices[d].blocks, reports[0].devices[d].blocks);
+            EXPECT_EQ(report.devices[d].peakBytes, reports[0].devices[d].peakBytes);
             EXPECT_EQ(report.devices[d].particles, reports[0].devices[d].particles);
             EXPECT_EQ(report.devices[d].busySeconds, reports[0].devices[d].busySeconds);
         }
@@ -257,7 +273,7 @@ TEST(RunSchedule, AnEstimateThatLiesGivesTheSameLists)
         const ScheduleRun report =
             expectRun(problem, problem.schedule(Encoding::kIndex, devices, {}), devices);
         EXPECT_GT(report.overflows, 0u) << "no room was reserved";
-        EXPECT_GE(report.retries, report.overflows);
+        EXPECT_GE(report.retries, report.overflows) << "each is run again, in one part at least";
     }
 }
 
@@ -300,7 +316,12 @@ TEST(RunSchedule, ARoughEstimateServesWhereEverythingFits)
                 const auto memory =
                     static_cast<std::uint64_t>(share * static_cast<double>(problem.need(encoding)));
                 const std::vector<DeviceLimits> devices = {deviceOf(memory)};
-                expectRun(problem, problem.schedule(encoding, devices, {}), devices);
+                const Schedule schedule = problem.schedule(encoding, devices, {});
+                if (share >= 1) {
+                    EXPECT_TRUE(schedule.inCore);
+                    EXPECT_EQ(schedule.blocks.size(), 1u);
+                }
+                expectRun(problem, schedule, devices);
             }
         }
     }
@@ -404,28 +425,30 @@ TEST(RunSchedule, ADeviceThatFailsAtAnyStepLosesNothing)
             const Schedule schedule = problem.schedule(encoding, devices, options);
             for (const char* step :
                  {"allocate", "stage", "upload", "search", "searched", "download", "wait"}) {
-                for (const int calls : {0, 1, 5, 12}) {
+                constexpr int kNever = 1 << 20;
+                FailingDevice::Plan plan;
+                plan.step = step;
+                plan.left = kNever;
+                RunOptions run;
+                run.schedule = options;
+                expectRun(problem, schedule, devices, run, failing(plan));
+                const int all = kNever - plan.left;
+                ASSERT_GT(all, 0);
+                for (const int calls : {0, all / 2, all - 1}) {
                     SCOPED_TRACE(nameOf(encoding) + " " + boundaryModeName(boundary) + " " + step + " " +
                                  std::to_string(calls));
-                    FailingDevice::Plan plan;
-                    plan.step = step;
                     plan.left = calls;
-                    RunOptions run;
-                    run.schedule = options;
                     run.onFailure = DeviceFailure::kUseCpu;
                     ScheduleRun report = expectRun(problem, schedule, devices, run, failing(plan));
-                    const bool isHit = plan.left < 0; // not where there are fewer calls of that step
-                    EXPECT_TRUE(isHit || calls > 0);
-                    EXPECT_EQ(report.devices[0].failure.empty(), !isHit);
-                    if (isHit) {
-                        EXPECT_GT(report.cpuParticles, 0u);
-                        plan.left = calls;
-                        run.onFailure = DeviceFailure::kStop;
-                        EngineState engine;
-                        EXPECT_THROW(
-                            runSchedule(engine, problem.grid, schedule, devices, run, report, failing(plan)),
-                            DeviceError);
-                    }
+                    EXPECT_LT(plan.left, 0) << "it failed";
+                    EXPECT_NE(report.devices[0].failure, "");
+                    EXPECT_GT(report.cpuParticles, 0u);
+                    plan.left = calls;
+                    run.onFailure = DeviceFailure::kStop;
+                    EngineState engine;
+                    EXPECT_THROW(
+                        runSchedule(engine, problem.grid, schedule, devices, run, report, failing(plan)),
+                        DeviceError);
                 }
             }
         }
@@ -541,6 +564,27 @@ TEST(RunSchedule, AScheduleOfAnotherGridIsRefused)
     EXPECT_THROW(SearchEngine().search(sheet.grid, schedule, devices, {}, report), InvalidInput);
     EXPECT_THROW(SearchEngine().search(block.grid, Schedule(), devices, {}, report), InvalidInput);
     EXPECT_THROW(SearchEngine().search(block.grid, schedule, {}, {}, report), InvalidInput);
+    // As many leaves and slots, but not so many cells: no byte is written past what the schedule asked for.
+    const auto leavesOf = [](double spread) {
+        std::vector<double> xyz;
+        for (int i = 0; i < 4800; ++i) {
+            const double cell = 0.2 + spread * (i % 7), across = 0.2 + spread * (i / 7 % 7);
+            xyz.insert(xyz.end(), {8.0 * (i / 600) + cell, across, 0.2 + spread * (i / 49 % 7) + 1e-5 * i});
+        }
+        return xyz;
+    };
+    const std::vector<double> together = leavesOf(0.01), apart = leavesOf(1);
+    const Case few(gridOf(ParticleView::fromArray(together.data(), 4800), 1, 1));
+    const SparseGrid many = gridOf(ParticleView::fromArray(apart.data(), 4800), 1, 1);
+    ASSERT_EQ(few.grid.leafCount(), many.leafCount());
+    for (const std::uint64_t divisor : {1u, 2u}) {
+        const std::vector<DeviceLimits> own = {deviceOf(few.need(Encoding::kNone) / divisor)};
+        RunOptions run;
+        run.schedule.useCpu = false;
+        EXPECT_THROW(
+            SearchEngine().search(many, few.schedule(Encoding::kNone, own, run.schedule), own, run, report),
+            InvalidInput);
+    }
     DeviceLimits cuda = devices[0];
     cuda.kind = DeviceKind::kCuda;
     EXPECT_THROW(SearchEngine().search(block.grid, schedule, {cuda}, {}, report), DeviceError);

@@ -72,13 +72,12 @@ std::vector<Work> slowWork(const SparseGrid& grid, const OverlapTable& overlap)
     return leaves;
 }
 
-// What the CPU search holds, less the two words past the rows of each task that it writes 64 bits at a time into.
+// What the search holds.
 std::uint64_t maskBytesHeld(const SparseGrid& grid)
 {
     SearchOptions options;
     options.encoding = Encoding::kMask;
-    const NeighborLists lists = SearchEngine().search(grid, options);
-    return lists.data().rowBytes - 8 * lists.data().maskRuns.size();
+    return SearchEngine().search(grid, options).data().rowBytes;
 }
 
 Work sumOf(const std::vector<Work>& leaves)
@@ -105,6 +104,82 @@ TEST(WorkEstimate, TestsBytesAndParticlesAreThoseOfEveryCell)
         EXPECT_EQ(estimate.total.maskBytes, maskBytesHeld(grid));
         EXPECT_EQ(estimate.total.expectedPairs, sumOf(estimate.leaves).expectedPairs);
     });
+}
+
+double sumOf(const std::vector<float>& neighbors)
+{
+    double sum = 0;
+    for (const float each : neighbors) sum += static_cast<double>(each);
+    return sum;
+}
+
+// Two particles in a cell and one in the cell beside it: of the first two, each expects one particle of its own cell and one
+// of the next, the third expects two of the next.
+TEST(ExpectNeighbors, IsWorkedOutByHand)
+{
+    const double x[] = {0.25, 0.5, 0.5, kNan, 1, 1, 1.5, 0.5, 0.5, 0.75, 0.5, 0.5, 40.5, 0.5, 0.5};
+    const SparseGrid grid = gridOf(ParticleView::fromArray(x, 5), 1, 1);
+    const OverlapTable overlap = OverlapTable::byQuadrature(grid.data().radiusCells, 1);
+    const double own = overlap.share(0, 0, 0), next = overlap.share(1, 0, 0);
+    ASSERT_GT(own, next);
+    const double expected[] = {own + next, 0, 2 * next, own + next, 0};
+    const std::vector<float> neighbors = expectNeighbors(grid);
+    ASSERT_EQ(neighbors.size(), 5u);
+    for (std::size_t i = 0; i < 5; ++i) EXPECT_NEAR(neighbors[i], expected[i], 1e-6) << i;
+}
+
+// 1e-6: estimateWork() sums the same floats in another order.
+TEST(ExpectNeighbors, SumsUpToTheUncorrectedEstimate)
+{
+    forEachGrid([](const PointSet& set, const SparseGrid& grid) {
+        EstimateOptions options;
+        options.correctCrowding = false;
+        options.monteCarloSamples = 1000;
+        for (const Estimator estimator : {Estimator::kExpected, Estimator::kMonteCarlo}) {
+            options.estimator = estimator;
+            const std::vector<float> neighbors = expectNeighbors(grid, options);
+            EXPECT_EQ(neighbors.size(), set.points.size());
+            const double pairs = estimateWork(grid, options).total.expectedPairs;
+            EXPECT_NEAR(sumOf(neighbors), pairs, 1e-6 * pairs) << estimatorName(estimator);
+        }
+        options.estimator = Estimator::kExpected;
+        options.correctCrowding = true; // makes no difference
+        EXPECT_NEAR(sumOf(expectNeighbors(grid, options)),
+                    estimateBy(grid, Estimator::kExpected, false).total.expectedPairs,
+                    1e-6 * sumOf(expectNeighbors(grid)));
+    });
+}
+
+TEST(ExpectNeighbors, IsOfOneCellTheSameAndForAnyNumberOfThreads)
+{
+    const SceneGrid scene("clusters", 20000);
+    const std::vector<Vec3i> cells = cellsOf(scene.grid);
+    std::vector<float> first;
+    for (const int threads : {1, 2, 4}) {
+        std::vector<float> neighbors;
+        runOnThreads(threads, [&] { neighbors = expectNeighbors(scene.grid); });
+        if (threads == 1) first = neighbors;
+        EXPECT_EQ(neighbors, first);
+    }
+    std::map<Vec3i, float> ofCell;
+    for (std::size_t i = 0; i < first.size(); ++i)
+        EXPECT_EQ(ofCell.emplace(cells[i], first[i]).first->second, first[i]);
+}
+
+TEST(ExpectNeighbors, OtherEstimatorsAreRefusedAndNothingHasNone)
+{
+    const SceneGrid scene("clusters", 1000);
+    EstimateOptions options;
+    for (const Estimator estimator : {Estimator::kSampled, Estimator::kCounted, Estimator::kFixed}) {
+        options.estimator = estimator;
+        EXPECT_THROW(expectNeighbors(scene.grid, options), InvalidInput) << estimatorName(estimator);
+    }
+    options.estimator = Estimator::kMonteCarlo;
+    options.monteCarloSamples = 0;
+    EXPECT_THROW(expectNeighbors(scene.grid, options), InvalidInput);
+    EXPECT_TRUE(expectNeighbors(SparseGrid()).empty());
+    const double nowhere[3] = {kNan, 0, 0};
+    EXPECT_EQ(expectNeighbors(gridOf(ParticleView::fromArray(nowhere, 1), 1, 2)), std::vector<float>{0});
 }
 
 // 1e-5: the shares and sums of a cell are floats, with at most 343 terms, all positive but the query itself.

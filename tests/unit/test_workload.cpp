@@ -370,16 +370,16 @@ TEST(BlockBytes, AreThoseOfTheHeader)
     // The particles, cells and leaves of block and halo, a neighborhood for each own leaf; the ends; whole lines of 16.
     const std::uint64_t up = 16 * 120 + 4 * (7 + 5) + 2 * (80 + 112) + 3 * 80 + 84 + 12;
     EXPECT_EQ(blockBytes(node, model).up, up);
-    EXPECT_EQ(blockBytes(node, model).down, 16u + 400 + 1234 + 2 * 8 + 8);
+    EXPECT_EQ(blockBytes(node, model).down, 32u + 400 + 1234 + 2 * 8 + 8);
     // Without the halo: the cells to be searched of two boundary leaves.
     EXPECT_EQ(blockBytes(node, model, false).up, 16u * 100 + 4 * 7 + 2 * 192 + 2 * 64 + 84 + 0);
     model.encoding = Encoding::kNone;
-    EXPECT_EQ(blockBytes(node, model).down, 416u);
+    EXPECT_EQ(blockBytes(node, model).down, 432u);
     model.encoding = Encoding::kIndex;
     model.margin = 0.5;
     model.auxNeighbors = 3;
-    EXPECT_EQ(blockBytes(node, model).down, 416u + 4 * 1801); // 1500.75 + 300
-    EXPECT_EQ(blockBytes(node, model).total(), up + 416 + 4 * 1801);
+    EXPECT_EQ(blockBytes(node, model).down, 432u + 4 * 1801); // 1500.75 + 300
+    EXPECT_EQ(blockBytes(node, model).total(), up + 432 + 4 * 1801);
 }
 
 // More than 2^64 bytes are a great many, not a few.

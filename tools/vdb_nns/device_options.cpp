@@ -67,7 +67,8 @@ double parseQuantity(const std::string& text, const std::string& what, const std
     const auto fail = [&] { throw InvalidInput(what + ": '" + text + "' is not possible; give " + allowed); };
     char* end = nullptr;
     const double number = std::strtod(text.c_str(), &end);
-    if (end == text.c_str() || std::isspace(static_cast<unsigned char>(text[0]))) fail();
+    const bool isHex = text.find_first_of("xX") != std::string::npos;
+    if (end == text.c_str() || isHex || std::isspace(static_cast<unsigned char>(text[0]))) fail();
     std::string unit(end);
     for (char& c : unit) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
     const auto match =

@@ -196,15 +196,16 @@ Json estimateJson(const SearchReport& report)
     return estimate;
 }
 
-Json secondsJson(const SecondsReport& seconds)
+Json secondsJson(const SearchReport& report)
 {
+    const SecondsReport& seconds = report.seconds;
     Json json;
     json["read"] = seconds.read;
     json["grid"] = seconds.grid;
     json["estimate"] = orNull(seconds.estimate);
     json["plan"] = orNull(seconds.plan);
     json["search"] = orNull(seconds.search);
-    json["collect"] = nullptr;
+    json["collect"] = report.run ? Json(report.run->collectSeconds) : Json(nullptr); // of all threads
     json["checksum"] = orNull(seconds.checksum);
     json["write"] = orNull(seconds.write);
     json["total"] = seconds.total;
@@ -383,7 +384,7 @@ std::string searchReportJson(const SearchReport& report)
                       {"grid_bytes", report.gridBytes},
                       {"list_bytes", report.listBytes},
                       {"device_peak_bytes", main["peak_bytes"]}};
-    json["seconds"] = secondsJson(report.seconds);
+    json["seconds"] = secondsJson(report);
     return dump(json);
 }
 

@@ -60,6 +60,28 @@ Json resultJson(const BenchResult& result)
     return json;
 }
 
+Json estimatorJson(const EstimatorResult& e)
+{
+    Json json = {{"scene", e.scene},
+                 {"estimator", e.estimator},
+                 {"seconds", e.seconds},
+                 {"count_seconds", e.searchSeconds},
+                 {"blocks", e.blocks},
+                 {"counted_queries", e.countedQueries},
+                 {"bias", e.bias},
+                 {"rmse", e.rmse},
+                 {"p50", e.p50},
+                 {"p99", e.p99},
+                 {"max", e.most},
+                 {"overflow_rate", e.overflowRate},
+                 {"reserved_over_used", e.reservedOverUsed}};
+    const ParticleErrors particles = e.particles.value_or(ParticleErrors{});
+    json["particle_bias"] = e.particles ? Json(particles.bias) : Json(nullptr);
+    json["particle_rmse"] = e.particles ? Json(particles.rmse) : Json(nullptr);
+    json["particle_correlation"] = particles.correlation ? Json(*particles.correlation) : Json(nullptr);
+    return json;
+}
+
 // A name may hold a comma or a quote.
 std::string csvField(const std::string& text)
 {
@@ -76,6 +98,22 @@ unsigned long long wide(std::uint64_t value)
     return value;
 }
 
+std::string particlesText(const std::vector<EstimatorResult>& estimators)
+{
+    std::string text;
+    for (const EstimatorResult& e : estimators) {
+        if (!e.particles) continue;
+        if (text.empty()) {
+            text = "\nexpected against true neighbors of each particle\n" +
+                   format("%-12s %8s %8s %12s\n", "estimator", "bias", "rmse", "correlation");
+        }
+        text += format("%-12s %+8.2f %8.2f", e.estimator.c_str(), e.particles->bias, e.particles->rmse);
+        const std::optional<double>& correlation = e.particles->correlation;
+        text += correlation ? format(" %12.4f\n", *correlation) : format(" %12s\n", "-");
+    }
+    return text;
+}
+
 } // namespace
 
 std::string benchJson(const std::vector<BenchResult>& results, const std::vector<EstimatorResult>& estimators)
@@ -88,21 +126,7 @@ std::string benchJson(const std::vector<BenchResult>& results, const std::vector
     json["results"] = Json::array();
     for (const BenchResult& result : results) json["results"].push_back(resultJson(result));
     json["estimators"] = Json::array();
-    for (const EstimatorResult& e : estimators) {
-        json["estimators"].push_back({{"scene", e.scene},
-                                      {"estimator", e.estimator},
-                                      {"seconds", e.seconds},
-                                      {"count_seconds", e.searchSeconds},
-                                      {"blocks", e.blocks},
-                                      {"counted_queries", e.countedQueries},
-                                      {"bias", e.bias},
-                                      {"rmse", e.rmse},
-                                      {"p50", e.p50},
-                                      {"p99", e.p99},
-                                      {"max", e.most},
-                                      {"overflow_rate", e.overflowRate},
-                                      {"reserved_over_used", e.reservedOverUsed}});
-    }
+    for (const EstimatorResult& e : estimators) json["estimators"].push_back(estimatorJson(e));
     return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
@@ -166,7 +190,7 @@ std::string estimatorsText(const std::vector<EstimatorResult>& estimators)
                        e.seconds, 100 * e.bias, 100 * e.rmse, 100 * e.p50, 100 * e.p99, 100 * e.most,
                        100 * e.overflowRate, e.reservedOverUsed, wide(e.countedQueries));
     }
-    return text;
+    return text + particlesText(estimators);
 }
 
 } // namespace vdb_nns::cli

@@ -5,6 +5,7 @@
 #include "numbers.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/schedule.h"
+#include "vdb_nns/search.h"
 
 #include <algorithm>
 #include <chrono>
@@ -94,6 +95,54 @@ EstimateOptions optionsOf(const std::string& name, double meanNeighbors)
     return options;
 }
 
+std::vector<std::uint32_t> trueNeighbors(const SparseGrid& grid)
+{
+    SearchOptions options;
+    options.encoding = Encoding::kNone;
+    return SearchEngine().search(grid, options).counts();
+}
+
+// Two passes: sums of squares about the means.
+ParticleErrors compare(const SparseGrid& grid, const std::vector<float>& expected,
+                       const std::vector<std::uint32_t>& truth)
+{
+    ParticleErrors errors;
+    const Span<const std::uint32_t> numbers = grid.particleNumbers();
+    const auto count = static_cast<double>(grid.particleCount());
+    double expectedSum = 0, truthSum = 0;
+    for (const std::uint32_t i : numbers) {
+        expectedSum += static_cast<double>(expected[i]);
+        truthSum += truth[i];
+    }
+    double expectedSquares = 0, truthSquares = 0, products = 0, errorSquares = 0;
+    for (const std::uint32_t i : numbers) {
+        const double e = static_cast<double>(expected[i]) - expectedSum / count,
+                     t = truth[i] - truthSum / count;
+        expectedSquares += e * e;
+        truthSquares += t * t;
+        products += e * t;
+        errorSquares += std::pow(static_cast<double>(expected[i]) - truth[i], 2);
+    }
+    errors.bias = (expectedSum - truthSum) / count;
+    errors.rmse = std::sqrt(errorSquares / count);
+    const double scale = std::sqrt(expectedSquares) * std::sqrt(truthSquares);
+    if (scale > 0) errors.correlation = products / scale;
+    return errors;
+}
+
+std::optional<ParticleErrors> judgeParticles(const std::string& name, const SparseGrid& grid,
+                                             const EstimateOptions& options,
+                                             const std::vector<std::uint32_t>& truth)
+{
+    if (grid.empty()) return std::nullopt;
+    if (name == "fixed") {
+        return compare(grid, std::vector<float>(truth.size(), static_cast<float>(options.fixedNeighbors)),
+                       truth);
+    }
+    if (name != "paper" && name != "uncorrected") return std::nullopt;
+    return compare(grid, expectNeighbors(grid, options), truth);
+}
+
 } // namespace
 
 const std::vector<std::string>& estimatorNames()
@@ -128,6 +177,7 @@ std::vector<EstimatorResult> measureEstimators(const std::string& scene,
 {
     if (names.empty()) return {};
     const EstimateOptions counted = optionsOf("counted", 0);
+    const std::vector<std::uint32_t> neighbors = trueNeighbors(grid);
     const WorkEstimate truth = estimateWork(grid, counted);
     const double mean =
         grid.particleCount() ? truth.total.expectedPairs / static_cast<double>(grid.particleCount()) : 0;
@@ -157,6 +207,7 @@ std::vector<EstimatorResult> measureEstimators(const std::string& scene,
         }
         if (name == "fixed" || name == "counted" || name == "uncorrected") model.margin = 0;
         judge(blocksOf(grid, truth, estimate, model), result);
+        result.particles = judgeParticles(name, grid, options, neighbors);
         results.push_back(result);
     }
     return results;
