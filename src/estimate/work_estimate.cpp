@@ -14,8 +14,8 @@
 #include "estimate/probe.h"
 #include "execute/count_queries.h"
 #include "execute/kernels.h"
-#include "execute/leaves_in_reach-inl.h"
 #include "execute/search_task.h"
+#include "grid/leaves_in_reach-inl.h"
 #include "grid/sparse_grid_data.h"
 #include "lists/cell_candidates.h"
 #include "util/cancel.h"
@@ -161,7 +161,8 @@ public:
     void forEachCell(std::size_t begin, std::size_t end, const Use& use) const
     {
         CellCounts cube;
-        const std::vector<LeafNeighborhood> neighborhoods = neighborhoodsOf(begin, end);
+        std::vector<LeafNeighborhood> neighborhoods(end - begin);
+        mGrid.neighborhoodsInReach(begin, end, neighborhoods.data());
         const ExpectCellsFunction expectCells = kernelsFor(SimdLevel::kBest).expectCells;
         float expected[512];
         std::uint32_t candidates[512];
@@ -202,23 +203,6 @@ public:
     }
 
 private:
-    // Of each leaf the leaves around that are in reach of its cells; expectCells() reads no others.
-    std::vector<LeafNeighborhood> neighborhoodsOf(std::size_t begin, std::size_t end) const
-    {
-        std::vector<LeafNeighborhood> neighborhoods(end - begin), found(end - begin);
-        std::vector<std::size_t> leaves;
-        std::vector<Vec3i> origins;
-        for (std::size_t l = begin; l < end; ++l) {
-            neighborhoods[l - begin].leaf[13] = static_cast<std::uint32_t>(l);
-            if (leavesInReach(mGrid.leaves[l].occupancy, mGrid.reach) == kOwnLeafAlone) continue;
-            leaves.push_back(l);
-            origins.push_back(mGrid.leafOrigins[l]);
-        }
-        mGrid.topology.neighborhoods({origins.data(), origins.size()}, found.data());
-        for (std::size_t k = 0; k < leaves.size(); ++k) neighborhoods[leaves[k] - begin] = found[k];
-        return neighborhoods;
-    }
-
     const SparseGridData& mGrid;
     BlockView mBlock;
     std::vector<float> mShares;

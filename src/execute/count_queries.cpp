@@ -3,9 +3,9 @@
 
 #include "execute/exact_test.h"
 #include "execute/kernels.h"
-#include "execute/leaves_in_reach-inl.h"
 #include "execute/search_task.h"
 #include "execute/thread_state.h"
+#include "grid/leaves_in_reach-inl.h"
 #include "lists/cell_candidates.h"
 
 #include <tbb/blocked_range.h>

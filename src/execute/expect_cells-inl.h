@@ -4,8 +4,8 @@
 // Internal linkage; see simd.h.
 #pragma once
 
-#include "execute/leaves_in_reach-inl.h"
 #include "execute/search_task.h"
+#include "grid/leaves_in_reach-inl.h"
 
 namespace vdb_nns {
 namespace {

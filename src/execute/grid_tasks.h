@@ -38,8 +38,7 @@ void forEachTask(const SparseGridData& grid, const std::vector<Piece>& pieces, T
         const std::uint32_t firstLeaf = pieces[range.begin()].leaf,
                             endLeaf = pieces[range.end() - 1].leaf + 1;
         state.neighborhoods.resize(endLeaf - firstLeaf);
-        grid.topology.neighborhoods({grid.leafOrigins.data() + firstLeaf, endLeaf - firstLeaf},
-                                    state.neighborhoods.data());
+        grid.neighborhoodsInReach(firstLeaf, endLeaf, state.neighborhoods.data());
         std::uint64_t queries = 0;
         for (std::size_t p = range.begin(); p < range.end(); ++p) {
             cancel.check();

@@ -335,7 +335,7 @@ void ScheduleRunner::runPieces(std::size_t block, std::size_t first, std::size_t
         mRun.cancel.check();
         const Piece& piece = mRun.pieces[p];
         LeafNeighborhood neighborhood;
-        grid.topology.neighborhoods({&grid.leafOrigins[piece.leaf], 1}, &neighborhood);
+        grid.neighborhoodsInReach(piece.leaf, piece.leaf + 1, &neighborhood);
         SearchTask task{piece.leaf, std::max(piece.firstSlot, part.firstSlot),
                         std::min(piece.endSlot, part.endSlot), neighborhood.leaf};
         const auto without =
@@ -605,7 +605,7 @@ RunBlock ScheduleRunner::partOf(const RunBlock& whole, std::uint32_t firstLeaf, 
     std::uint64_t words = 0;
     auto without = half.part.without.begin();
     std::vector<LeafNeighborhood> neighborhoods(endLeaf - firstLeaf);
-    grid.topology.neighborhoods({&grid.leafOrigins[firstLeaf], endLeaf - firstLeaf}, neighborhoods.data());
+    grid.neighborhoodsInReach(firstLeaf, endLeaf, neighborhoods.data());
     for (std::uint32_t l = firstLeaf; l < endLeaf; ++l) {
         SearchTask task{l, std::max(firstSlot, grid.leaves[l].firstSlot),
                         std::min(endSlot, grid.leaves[l + 1].firstSlot), neighborhoods[l - firstLeaf].leaf};

@@ -11,6 +11,7 @@
 #include "grid/cell_map.h"
 #include "grid/file_leaves.h"
 #include "grid/leaf_table.h"
+#include "grid/leaves_in_reach-inl.h"
 #include "grid/sparse_grid_data.h"
 #include "particles/particle_source.h"
 #include "util/cancel.h"
@@ -386,6 +387,17 @@ std::uint64_t SparseGridData::bytes() const
 {
     return x.usedBytes() + y.usedBytes() + z.usedBytes() + number.usedBytes() + cellStart.usedBytes() +
            leaves.size() * sizeof(LeafRecord) + leafOrigins.size() * sizeof(Vec3i) + topology.bytes();
+}
+
+void SparseGridData::neighborhoodsInReach(std::size_t first, std::size_t end, LeafNeighborhood* out) const
+{
+    constexpr std::size_t kAtOnce = 64;
+    std::uint32_t wanted[kAtOnce];
+    for (std::size_t begin = first; begin < end; begin += kAtOnce) {
+        const std::size_t count = std::min(kAtOnce, end - begin);
+        for (std::size_t k = 0; k < count; ++k) wanted[k] = leavesInReach(leaves[begin + k].occupancy, reach);
+        topology.neighborhoods({leafOrigins.data() + begin, count}, wanted, out + (begin - first));
+    }
 }
 
 SparseGrid::SparseGrid()

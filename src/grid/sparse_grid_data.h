@@ -34,6 +34,10 @@ struct SparseGridData {
     std::size_t leafCount() const { return leafOrigins.size(); }
     std::size_t particleCount() const { return number.size(); }
     std::uint64_t bytes() const;
+
+    // Of the leaves [first, end), the leaves around that hold cells in reach of theirs; on sparse scenes few. Finds what a
+    // search reads: a leaf that no cell reaches has no candidates.
+    void neighborhoodsInReach(std::size_t first, std::size_t end, LeafNeighborhood* out) const;
 };
 
 // Memory of the sort, kept from frame to frame.

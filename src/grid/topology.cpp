@@ -116,33 +116,44 @@ std::uint64_t* Topology::occupancy(std::size_t i)
 
 void Topology::neighborhoods(Span<const Vec3i> origins, LeafNeighborhood* out) const
 {
+    neighborhoods(origins, nullptr, out);
+}
+
+void Topology::neighborhoods(Span<const Vec3i> origins, const std::uint32_t* wanted,
+                             LeafNeighborhood* out) const
+{
     // Not registered with the tree: the topology cannot change while a grid is searched.
     openvdb::tree::ValueAccessor<const openvdb::MaskTree, false> accessor(mTree->tree);
     for (std::size_t i = 0; i < origins.size(); ++i) {
         const openvdb::Coord origin = coordOf(origins[i]);
         std::uint32_t* leaf = out[i].leaf;
+        std::uint32_t left = wanted ? wanted[i] : ~0u; // three bits for each column
         // Most leaves have most of their neighbors in their own 128^3 node: those are read from its table, and three of a
         // column at a time from its mask, for on sparse scenes most are empty.
         const auto* const lower = accessor.template probeConstNode<Lower>(origin);
         const int x0 = origin.x() >> 3 & 15, y0 = origin.y() >> 3 & 15, z0 = origin.z() >> 3 & 15;
         const bool zInside = z0 > 0 && z0 < 15;
         for (int x = -1; x <= 1; ++x) {
-            for (int y = -1; y <= 1; ++y, leaf += 3) {
+            for (int y = -1; y <= 1; ++y, leaf += 3, left >>= 3) {
+                leaf[0] = leaf[1] = leaf[2] = kNoLeaf;
+                if (!(left & 7)) continue;
                 const int nx = x0 + x, ny = y0 + y;
                 if (lower && zInside && !((nx | ny) & ~15)) {
                     const openvdb::Index n = nx << 8 | ny << 4 | (z0 - 1);
                     const std::uint64_t word =
                         lower->getChildMask().template getWord<openvdb::Index64>(n >> 6);
-                    const auto bits = static_cast<unsigned>(word >> (n & 63));
-                    for (unsigned z = 0; z < 3; ++z) {
-                        leaf[z] =
-                            bits >> z & 1 ? lower->getTable()[n + z].getChild()->transientData() : kNoLeaf;
+                    for (auto bits = static_cast<unsigned>(word >> (n & 63)) & left & 7; bits;
+                         bits &= bits - 1) {
+                        const int z = __builtin_ctz(bits);
+                        leaf[z] = lower->getTable()[n + static_cast<unsigned>(z)].getChild()->transientData();
                     }
                     continue;
                 }
-                for (int z = -1; z <= 1; ++z) {
-                    const Leaf* const found = accessor.probeConstLeaf(origin.offsetBy(8 * x, 8 * y, 8 * z));
-                    leaf[z + 1] = found ? found->transientData() : kNoLeaf;
+                for (int z = 0; z < 3; ++z) {
+                    if (!(left >> z & 1)) continue;
+                    const Leaf* const found =
+                        accessor.probeConstLeaf(origin.offsetBy(8 * x, 8 * y, 8 * (z - 1)));
+                    if (found) leaf[z] = found->transientData();
                 }
             }
         }

@@ -30,8 +30,10 @@ public:
     // The 8 mask words of leaf i, in the order of openvdb::util::NodeMask<3>. Stay in place until the next build().
     std::uint64_t* occupancy(std::size_t i);
 
-    // Fills out[k] with the neighborhood of leaf begin + k. Fast when consecutive leaves are near each other.
+    // Fills out[k] with the neighborhood of the leaf at origins[k]. Fast when consecutive leaves are near each other.
     void neighborhoods(Span<const Vec3i> origins, LeafNeighborhood* out) const;
+    // The same, but only of the leaves whose bits are set in wanted[k]; the others are kNoLeaf.
+    void neighborhoods(Span<const Vec3i> origins, const std::uint32_t* wanted, LeafNeighborhood* out) const;
 
     std::uint64_t bytes() const;
 

@@ -96,7 +96,7 @@ BlockHalo haloOf(const SparseGridData& grid, std::uint32_t firstLeaf, std::uint3
             isInside &= at > 0 && at < last;
         }
         if (isInside) continue;
-        grid.topology.neighborhoods({&grid.leafOrigins[l], 1}, &neighborhood);
+        grid.neighborhoodsInReach(l, l + 1, &neighborhood);
         const std::uint64_t* const own = grid.leaves[l].occupancy;
         CellSet boundary{l, {}};
         std::uint64_t any = 0;

@@ -4,7 +4,7 @@
 #include "execute/count_queries.h"
 #include "execute/exact_test.h"
 #include "execute/kernels.h"
-#include "execute/leaves_in_reach-inl.h"
+#include "grid/leaves_in_reach-inl.h"
 #include "execute/thread_state.h"
 #include "lists/cell_candidates.h"
 #include "lists/neighbor_lists_data.h"
