@@ -99,6 +99,7 @@ private:
     void cutLeaf(const WorkloadNode& node)
     {
         const Block leaf = blockOf(node, mGrid, mTree.options.model, true);
+        if (leaf.bytes.up > mBudget) return mBlocks.push_back(leaf); // no part of it fits
         LeafNeighborhood neighborhood;
         mGrid.topology.neighborhoods({&mGrid.leafOrigins[leaf.firstLeaf], 1}, &neighborhood);
         const double pairsPerQuery = leaf.work.expectedPairs / static_cast<double>(leaf.work.particles);

@@ -116,7 +116,7 @@ void expectBlocksFit(const Schedule& schedule, const Problem& problem,
         }
         if (devices.empty()) continue;
         if (block.bytes.total() > least) {
-            EXPECT_LE(queries, 32u) << "a smaller part would fit";
+            EXPECT_TRUE(queries <= 32 || block.bytes.up > least) << "a smaller part would fit";
         }
         if (block.bytes.total() > most) {
             EXPECT_EQ(block.preferred, Block::kOnCpu);
