@@ -51,7 +51,10 @@ WorkEstimate estimateFor(const SparseGrid& grid, const DeviceRequest& request, E
         const BlockBytes needed = bytesAtOnce(grid, probed, memoryModel(request, encoding, probed));
         if (needed.total() <= request.devices[0].memoryBytes) return probed;
     }
-    return estimateWork(grid, request.estimate);
+    EstimateOptions options = request.estimate;
+    // Only the room for index lists rests on the number of pairs.
+    options.correctCrowding = detail == PlanDetail::kFull || encoding == Encoding::kIndex;
+    return estimateWork(grid, options);
 }
 
 } // namespace
