@@ -155,8 +155,9 @@ class Budgets(PlanCase):
                         for block in plan["blocks_list"]:
                             if block["executor"] != "cpu":
                                 self.assertLessEqual(block["bytes"], memory // 3)
-                    self.assertGreaterEqual(plan["blocks"], blocks)
-                    blocks = plan["blocks"] if device == "sim" else blocks
+                    if share > 0.001:  # below a leaf no leaf is cut: no part of it would fit
+                        self.assertGreaterEqual(plan["blocks"], blocks)
+                        blocks = plan["blocks"] if device == "sim" else blocks
                 # Below a leaf the CPU runs all.
                 self.assertEqual(plan["device_particles"], 0, (scene, encoding))
 
