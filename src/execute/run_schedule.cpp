@@ -84,6 +84,29 @@ struct Executor {
     std::deque<std::unique_ptr<Flight>> flights; // oldest first
 };
 
+// Most bytes that a block of the schedule may have on a device.
+std::uint64_t budgetOf(const Schedule& schedule, const DeviceLimits& device)
+{
+    return schedule.inCore ? device.memoryBytes : blockBudget(device);
+}
+
+// Slots that a device can use, each as large as the largest block of the schedule that may go there.
+struct SlotNeed {
+    std::size_t slots = 0;
+    std::uint64_t bytes = 0;
+};
+
+SlotNeed slotNeedOf(const Schedule& schedule, const DeviceLimits& device)
+{
+    SlotNeed need;
+    for (const Block& block : schedule.blocks) {
+        if (block.bytes.total() > budgetOf(schedule, device)) continue;
+        need.bytes = std::max(need.bytes, block.bytes.total());
+        need.slots = std::min(need.slots + 1, static_cast<std::size_t>(device.slots));
+    }
+    return need;
+}
+
 class ScheduleRunner {
 public:
     ScheduleRunner(EngineState& engine, const SearchRun& run, const Schedule& schedule,
@@ -146,8 +169,8 @@ private:
     std::optional<Dispatcher> mDispatcher;
     std::vector<std::atomic<std::uint64_t>> mPairs; // by block of the schedule
     std::atomic<std::uint64_t> mCpuParticles{0};
-    std::uint64_t mDeviceParticles = 0;          // collected
-    double mActualPairs = 0, mExpectedPairs = 0; // of blocks that a device is done with
+    std::atomic<std::uint64_t> mDeviceParticles{0}; // collected
+    double mActualPairs = 0, mExpectedPairs = 0;    // of blocks that a device is done with
     JobQueue mJobs; // last: its jobs use all of the above, and its destructor waits for them
 };
 
@@ -155,7 +178,7 @@ void ScheduleRunner::execute(const std::vector<DeviceLimits>& devices, const Dev
 {
     mLimits = devices;
     for (const DeviceLimits& limits : devices) {
-        mBudgets.push_back(mSchedule.inCore ? limits.memoryBytes : blockBudget(limits));
+        mBudgets.push_back(budgetOf(mSchedule, limits));
     }
     mReport = {};
     mReport.devices.resize(devices.size());
@@ -233,17 +256,12 @@ void ScheduleRunner::allocateSlots(std::size_t device)
     constexpr std::uint64_t kLeastBytes = 1024;
     const DeviceLimits& limits = mLimits[device];
     Executor& executor = mExecutors[device];
-    std::uint64_t bytes = 0;
-    std::size_t fitting = 0;
-    for (const RunBlock& block : mBlocks) {
-        if (block.item.bytes.total() > mBudgets[device]) continue;
-        bytes = std::max(bytes, block.item.bytes.total());
-        ++fitting;
-    }
-    if (fitting == 0) return;
+    const SlotNeed need = slotNeedOf(mSchedule, limits);
+    if (need.slots == 0) return;
+    std::uint64_t bytes = need.bytes;
     do {
         try {
-            executor.slots.resize(std::min(fitting, static_cast<std::size_t>(limits.slots)));
+            executor.slots.resize(need.slots);
             for (Slot& slot : executor.slots) slot.device = executor.device->allocate(bytes);
             for (Slot& slot : executor.slots) slot.staging = executor.device->allocateStaging(bytes);
             executor.slotBytes = bytes;
@@ -641,15 +659,8 @@ std::uint64_t hostBytesOf(const Schedule& schedule, const std::vector<DeviceLimi
 {
     std::uint64_t bytes = 0;
     for (const DeviceLimits& device : devices) {
-        const std::uint64_t budget = schedule.inCore ? device.memoryBytes : blockBudget(device);
-        std::uint64_t largest = 0, blocks = 0;
-        for (const Block& block : schedule.blocks) {
-            if (block.bytes.total() > budget) continue;
-            largest = std::max(largest, block.bytes.total());
-            ++blocks;
-        }
-        const std::uint64_t slots = std::min(blocks, static_cast<std::uint64_t>(device.slots));
-        bytes += slots * largest * (device.kind == DeviceKind::kSim ? 2 : 1);
+        const SlotNeed need = slotNeedOf(schedule, device);
+        bytes += need.slots * need.bytes * (device.kind == DeviceKind::kSim ? 2 : 1);
     }
     return bytes;
 }
