@@ -24,15 +24,6 @@ namespace {
 
 constexpr Encoding kEncodings[] = {Encoding::kMask, Encoding::kIndex, Encoding::kNone};
 
-DeviceLimits deviceOf(std::uint64_t memoryBytes, int slots = 3)
-{
-    DeviceLimits device;
-    device.name = "test";
-    device.memoryBytes = memoryBytes;
-    device.slots = slots;
-    return device;
-}
-
 std::string nameOf(Encoding encoding)
 {
     return encoding == Encoding::kMask ? "mask" : encoding == Encoding::kIndex ? "index" : "none";
@@ -58,8 +49,8 @@ void expectSameLists(const NeighborLists& actual, const NeighborLists& expected)
 }
 
 // A grid, its estimate and its true lists.
-struct Case {
-    explicit Case(SparseGrid g) : grid(std::move(g)), estimate(estimateWork(grid)) {}
+struct Case : EstimatedGrid {
+    using EstimatedGrid::EstimatedGrid;
 
     const NeighborLists& truth(Encoding encoding) const
     {
@@ -78,18 +69,6 @@ struct Case {
         return mStatistics[static_cast<std::size_t>(encoding)];
     }
 
-    WorkloadTree tree(Encoding encoding, std::uint64_t nodeBytes, int blockLog2Cells = 0) const
-    {
-        return treeOf(grid, estimate, nodeBytes, encoding, blockLog2Cells);
-    }
-
-    // Bytes of everything as one block.
-    std::uint64_t need(Encoding encoding) const
-    {
-        const WorkloadTree one = tree(encoding, ~0ull);
-        return blockBytes(one.nodes[0], one.options.model).total();
-    }
-
     Schedule schedule(Encoding encoding, const std::vector<DeviceLimits>& devices,
                       const ScheduleOptions& options) const
     {
@@ -97,9 +76,6 @@ struct Case {
         std::uint64_t bytes = nodeBytesFor(grid, estimate, one.options.model, devices, options);
         return makeSchedule(grid, tree(encoding, bytes, options.blockLog2Cells), devices, options);
     }
-
-    SparseGrid grid;
-    WorkEstimate estimate;
 
 private:
     mutable NeighborLists mTruth[3];

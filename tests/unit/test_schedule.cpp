@@ -12,6 +12,7 @@
 #include <cmath>
 #include <limits>
 #include <map>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -22,29 +23,13 @@ namespace {
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 constexpr double kInf = std::numeric_limits<double>::infinity();
 
-DeviceLimits deviceOf(std::uint64_t memoryBytes, int slots = 3)
-{
-    DeviceLimits device;
-    device.name = "test";
-    device.memoryBytes = memoryBytes;
-    device.slots = slots;
-    return device;
-}
-
 // A scene with its grid and estimate.
-struct Problem : SceneGrid {
-    Problem(const char* name, std::uint64_t count) : SceneGrid(name, count), estimate(estimateWork(grid)) {}
-
-    WorkloadTree tree(Encoding encoding, std::uint64_t nodeBytes, int blockLog2Cells = 0) const
+struct Problem : EstimatedGrid {
+    Problem(const char* name, std::uint64_t count) : Problem(std::make_shared<const SceneGrid>(name, count))
     {
-        return treeOf(grid, estimate, nodeBytes, encoding, blockLog2Cells);
     }
-
-    // Bytes of everything as one block.
-    std::uint64_t need(Encoding encoding) const
+    explicit Problem(std::shared_ptr<const SceneGrid> own) : EstimatedGrid(own->grid), scene(std::move(own))
     {
-        const WorkloadTree one = tree(encoding, ~0ull);
-        return blockBytes(one.nodes[0], one.options.model).total();
     }
 
     Schedule schedule(Encoding encoding, const std::vector<DeviceLimits>& devices,
@@ -55,7 +40,7 @@ struct Problem : SceneGrid {
         return makeSchedule(grid, tree(encoding, budget, options.blockLog2Cells), devices, options);
     }
 
-    WorkEstimate estimate;
+    std::shared_ptr<const SceneGrid> scene; // the grid's positions
 };
 
 const Problem& problemOf(const std::string& name)

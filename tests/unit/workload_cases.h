@@ -3,11 +3,14 @@
 
 #include "agreement/point_views.h"
 #include "vdb_nns/scene.h"
+#include "vdb_nns/schedule.h"
 #include "vdb_nns/workload_tree.h"
 
 #include <gtest/gtest.h>
 
+#include <cstdint>
 #include <string>
+#include <utility>
 
 namespace vdb_nns::testing {
 
@@ -50,6 +53,35 @@ struct SceneGrid {
 
     Scene scene;
     SparseGrid grid;
+};
+
+inline DeviceLimits deviceOf(std::uint64_t memoryBytes, int slots = 3)
+{
+    DeviceLimits device;
+    device.name = "test";
+    device.memoryBytes = memoryBytes;
+    device.slots = slots;
+    return device;
+}
+
+// A grid with its estimate, to be planned.
+struct EstimatedGrid {
+    explicit EstimatedGrid(SparseGrid g) : grid(std::move(g)), estimate(estimateWork(grid)) {}
+
+    WorkloadTree tree(Encoding encoding, std::uint64_t nodeBytes, int blockLog2Cells = 0) const
+    {
+        return treeOf(grid, estimate, nodeBytes, encoding, blockLog2Cells);
+    }
+
+    // Bytes of everything as one block.
+    std::uint64_t need(Encoding encoding) const
+    {
+        const WorkloadTree one = tree(encoding, ~0ull);
+        return blockBytes(one.nodes[0], one.options.model).total();
+    }
+
+    SparseGrid grid;
+    WorkEstimate estimate;
 };
 
 // check(set, grid) for every distribution and reach.
