@@ -1,7 +1,6 @@
 #include "device_plan.h"
 
 #include "machine.h"
-#include "progress_printer.h"
 
 #include <algorithm>
 #include <utility>

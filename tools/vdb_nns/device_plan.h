@@ -2,18 +2,11 @@
 #pragma once
 
 #include "device_options.h"
+#include "progress_printer.h"
 #include "report.h"
 #include "vdb_nns/search.h"
 
 namespace vdb_nns::cli {
-
-class ProgressPrinter;
-
-/// The share of a run that a step is shown as.
-struct ProgressSpan {
-    ProgressPrinter& printer;
-    double begin, end;
-};
 
 enum class PlanDetail {
     kFull,    ///< the estimate that was asked for, whatever it is needed for

@@ -5,6 +5,7 @@
 #include "exit_codes.h"
 #include "machine.h"
 #include "plan_svg.h"
+#include "point_input.h"
 #include "report.h"
 #include "text_file.h"
 #include "threads.h"
@@ -61,13 +62,6 @@ SearchOptions checkFlags(const PlanFlags& flags)
     return options;
 }
 
-void checkFinite(const PlanFlags& flags, const PointFileInfo& info)
-{
-    if (flags.nonfinite != "fail" || info.nonfinite == 0) return;
-    throw CheckFailed(std::to_string(info.nonfinite) + " of " + std::to_string(info.points) +
-                      " points have a NaN or infinite coordinate; --nonfinite skip leaves them out");
-}
-
 void fillReport(const SparseGrid& grid, const SearchOptions& options, SearchReport& report)
 {
     fillGridReport(grid, options, report);
@@ -96,24 +90,9 @@ int planFile(const PlanFlags& flags, SearchOptions options, const DeviceRequest&
     options.progress = &progress;
     SearchReport report;
     report.command = "plan";
-    report.path = flags.input.path;
     report.device.threads = threads;
-
-    progress.begin("read", 0, 0.4);
-    const Stopwatch readWatch;
-    const PointFile file = PointFile::read(flags.input.path, flags.input.grid, &progress);
-    report.seconds.read = readWatch.seconds();
-    session.path = flags.input.path;
-    const bool needsInfo =
-        !flags.common.json.empty() || flags.input.radius.empty() || flags.nonfinite == "fail";
-    if (needsInfo) report.info = file.info();
-    if (needsInfo) checkFinite(flags, *report.info);
-    session.grid = needsInfo ? report.info->grid : flags.input.grid;
-    const std::optional<double> suggested = needsInfo ? report.info->suggestedRadius : std::nullopt;
-    report.radius = chooseRadius(flags.input.radius, suggested, flags.input.path, flags.common.quiet);
-    if (extensionOf(flags.input.path) == ".vdb") {
-        report.radiusVoxels = radiusInVoxels(file.view().linear(), report.radius);
-    }
+    const PointNeeds needs{!flags.common.json.empty(), flags.nonfinite == "fail", flags.common.quiet};
+    const PointFile file = readPoints(flags.input, needs, {progress, 0, 0.4}, session, report);
 
     progress.begin("grid", 0.4, 0.8);
     const Stopwatch gridWatch;

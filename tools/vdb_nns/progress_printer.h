@@ -44,4 +44,10 @@ private:
 /// Throws Cancelled if SIGINT or SIGTERM came: called between steps.
 void throwIfStopped();
 
+/// The share of a run that a step is shown as.
+struct ProgressSpan {
+    ProgressPrinter& printer;
+    double begin, end;
+};
+
 } // namespace vdb_nns::cli

@@ -6,6 +6,7 @@
 #include "host_memory.h"
 #include "machine.h"
 #include "numbers.h"
+#include "point_input.h"
 #include "report.h"
 #include "text_file.h"
 #include "threads.h"
@@ -149,14 +150,9 @@ SearchPlan checkFlags(const SearchFlags& flags)
     return plan;
 }
 
-// Checks that need the file but not the search.
-void checkFile(const SearchFlags& flags, const SearchPlan& plan, const PointFile& file)
+// The attribute to be written must not exist.
+void checkAttribute(const SearchFlags& flags, const SearchPlan& plan, const PointFile& file)
 {
-    if (flags.nonfinite == "fail" && file.info().nonfinite > 0) {
-        throw CheckFailed(std::to_string(file.info().nonfinite) + " of " +
-                          std::to_string(file.info().points) +
-                          " points have a NaN or infinite coordinate; --nonfinite skip leaves them out");
-    }
     if (!plan.outputs.vdb || flags.common.force) return;
     const std::string name = flags.prefix + "count";
     for (const AttributeInfo& attribute : file.info().attributes) {
@@ -351,22 +347,10 @@ int searchFile(const SearchFlags& flags, SearchPlan plan, int threads, Session& 
     HostMemory memory(plan.options.hostMemoryBytes, threads, plan.outputs);
     plan.options.progress = &progress;
     SearchReport report;
-    report.path = flags.input.path;
     report.device.threads = threads;
-
-    progress.begin("read", 0, 0.2);
-    const Stopwatch readWatch;
-    const PointFile file = PointFile::read(flags.input.path, flags.input.grid, &progress);
-    report.seconds.read = readWatch.seconds();
-    session.path = flags.input.path;
-    checkFile(flags, plan, file);
-    if (!flags.common.json.empty() || !plan.radius) report.info = file.info();
-    session.grid = report.info ? report.info->grid : flags.input.grid;
-    const std::optional<double> suggested = plan.radius ? std::nullopt : report.info->suggestedRadius;
-    report.radius = chooseRadius(flags.input.radius, suggested, flags.input.path, flags.common.quiet);
-    if (extensionOf(flags.input.path) == ".vdb") {
-        report.radiusVoxels = radiusInVoxels(file.view().linear(), report.radius);
-    }
+    const PointNeeds needs{!flags.common.json.empty(), flags.nonfinite == "fail", flags.common.quiet};
+    const PointFile file = readPoints(flags.input, needs, {progress, 0, 0.2}, session, report);
+    checkAttribute(flags, plan, file);
 
     SearchEngine engine;
     const NeighborLists lists = searchWithin(memory, engine, file.view(), flags, plan, progress, report);

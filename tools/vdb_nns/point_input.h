@@ -1,0 +1,23 @@
+// Reading the points of a command, and the radius that goes with them.
+#pragma once
+
+#include "cli_options.h"
+#include "command.h"
+#include "progress_printer.h"
+#include "report.h"
+#include "vdb_nns/point_file.h"
+
+namespace vdb_nns::cli {
+
+struct PointNeeds {
+    bool info;          ///< the report says what is in the file, which costs a pass
+    bool failNonfinite; ///< --nonfinite fail
+    bool quiet;
+};
+
+/// Reads the file; fills what report and session say of it: path, info, radius, seconds.
+/// @throws CheckFailed for a non-finite point where that fails, InvalidInput without a radius, and as PointFile::read()
+PointFile readPoints(const InputFlags& input, const PointNeeds& needs, const ProgressSpan& span,
+                     Session& session, SearchReport& report);
+
+} // namespace vdb_nns::cli
