@@ -1,6 +1,7 @@
 # VDB_NNS_CUDA=AUTO|ON|OFF decides what kernels/ is built from. Sets
 #   VDB_NNS_CUDA_BUILD  whether CUDA is built
 #   VDB_NNS_CUDA_WHY    the reason, in words, for --version
+#   VDB_NNS_CUDA_BUILT_FOR  the architectures
 # and enables the language. AUTO says what it found; ON fails without a compiler that works; OFF links the stub.
 
 set(VDB_NNS_CUDA AUTO CACHE STRING "Build the CUDA kernels: AUTO (when there is a compiler), ON or OFF")
@@ -29,6 +30,14 @@ else()
         include(CheckLanguage)
         check_language(CUDA)
         if(CMAKE_CUDA_COMPILER)
+            if(NOT DEFINED CMAKE_CUDA_ARCHITECTURES)
+                # Machine code for Turing to Blackwell, and PTX for what comes after.
+                set(CMAKE_CUDA_ARCHITECTURES 75-real 80-real 86-real 89-real 90-real 100
+                    CACHE STRING "CUDA architectures")
+            endif()
+            list(TRANSFORM CMAKE_CUDA_ARCHITECTURES REPLACE "-real" "" OUTPUT_VARIABLE VDB_NNS_CUDA_BUILT_FOR)
+            list(TRANSFORM VDB_NNS_CUDA_BUILT_FOR PREPEND "sm_")
+            list(JOIN VDB_NNS_CUDA_BUILT_FOR " " VDB_NNS_CUDA_BUILT_FOR)
             enable_language(CUDA)
             find_package(CUDAToolkit QUIET)
             if(TARGET CUDA::cudart_static)

@@ -27,10 +27,14 @@ struct DeviceRun {
     std::uint64_t blocks = 0;    ///< searched and collected, parts of split blocks counted each
     std::uint64_t particles = 0; ///< queries of those
     double busySeconds = 0;      ///< searching; virtual on a simulated device
-    std::string failure;         ///< why it did no more; empty when nothing was wrong
+    double uploadSeconds = 0;    ///< measured by the device; 0 on a simulated one
+    double downloadSeconds = 0;
+    std::uint64_t bytesUp = 0, bytesDown = 0; ///< that these took
+    std::string failure;                      ///< why it did no more; empty when nothing was wrong
 };
 
-/// What a run did. Decisions are made in virtual time, so all of it but collectSeconds is the same in every run.
+/// What a run did. Without devices that are really there decisions are made in virtual time, so all of it but
+/// collectSeconds is the same in every run. With them it depends on how fast they turn out to be; the lists never do.
 struct ScheduleRun {
     std::vector<DeviceRun> devices; ///< in the order of the limits
     std::uint64_t cpuBlocks = 0;    ///< and parts of blocks that TBB workers ran
@@ -47,5 +51,11 @@ struct ScheduleRun {
     double collectSeconds = 0;             ///< of all threads together, measured: rows of blocks into lists
     double seconds = 0;                    ///< virtual: when the last of all was done
 };
+
+/// The CUDA devices that this process sees, in the order of the runtime, with the memory that is free now. Their rates are
+/// guesses from the number of multiprocessors, replaced by what is measured once blocks have run.
+/// Cost: opens every device, some tenths of a second each.
+/// @throws DeviceError without a device, a driver or a build with CUDA
+std::vector<DeviceLimits> cudaDevices();
 
 } // namespace vdb_nns

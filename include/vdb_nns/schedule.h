@@ -35,6 +35,9 @@ struct DeviceLimits {
     std::uint64_t memoryBytes = 0;
     int slots = 3; ///< blocks in flight
     Rates rates;
+    int ordinal = 0; ///< of a CUDA device
+    bool mapped =
+        false; ///< a CUDA device that keeps blocks in host memory and reads them through the link: a baseline
 };
 
 struct ScheduleOptions {

@@ -11,9 +11,12 @@ namespace vdb_nns {
 
 /// Bytes of a block on a device.
 struct BlockBytes {
-    std::uint64_t up = 0;   ///< particles of block and halo, cells, leaves: uploaded
-    std::uint64_t down = 0; ///< counts and lists: room reserved for them, and downloaded
-    std::uint64_t total() const { return up + down; }
+    std::uint64_t up = 0; ///< particles of block and halo, cells, leaves: uploaded
+    /// Counts, lists, and pairs that are left to the host to decide (256 bytes, and 16 for 64 queries): room reserved for
+    /// them, and downloaded.
+    std::uint64_t down = 0;
+    std::uint64_t scratch = 0; ///< where rows begin, 8 bytes for 32 queries; not downloaded
+    std::uint64_t total() const { return up + down + scratch; }
 };
 
 /// How bytes follow from work: s(B) = n_B S_p + S_n sum E + S_aux for index lists (Kim et al. 2014), exact for masks.
@@ -28,7 +31,7 @@ struct MemoryModel {
         64; ///< which of its cells a device runs, without halo
     static constexpr std::uint64_t kBlockBytes =
         16 + 4 + 64;                                  ///< ends of leaves and cells; vectors read past the end
-    static constexpr std::uint64_t kResultBytes = 32; ///< pairs, bytes of rows, pairs of the slower tests
+    static constexpr std::uint64_t kResultBytes = 32; ///< bytes of rows, pairs of the slower tests
     static constexpr std::uint64_t kMaskLeafBytes = 8;  ///< where the masks of a leaf begin
     static constexpr std::uint64_t kMaskBlockBytes = 8; ///< a row is written 64 bits at a time
 

@@ -10,11 +10,30 @@ const char* buildDescription()
     return "absent";
 }
 
-std::vector<Device> listDevices()
+namespace {
+
+DeviceError noCuda()
 {
-    throw DeviceError(
+    return DeviceError(
         "vdb_nns was built without CUDA, so it has no CUDA devices; use the CPU, or build it with "
         "-DVDB_NNS_CUDA=ON where there is a CUDA toolkit");
+}
+
+} // namespace
+
+std::vector<Device> listDevices()
+{
+    throw noCuda();
+}
+
+std::uint64_t freeBytes(int)
+{
+    throw noCuda();
+}
+
+std::unique_ptr<BlockDevice> openBlockDevice(const OpenOptions&)
+{
+    throw noCuda();
 }
 
 } // namespace vdb_nns::cuda

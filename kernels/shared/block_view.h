@@ -1,4 +1,4 @@
-// What a search sees of the sparse grid: plain pointers, trivially copyable. Any compiler.
+// What a search sees of the sparse grid, or of a block of it: plain pointers, trivially copyable. Any compiler.
 //
 //   slot        0        1        2        3        4 ...            particles, by leaf, then cell, then number
 //   x y z     [float]  ...                                           about the centre of the slot's leaf, in cells
@@ -9,9 +9,14 @@
 // Occupancy: bit (y * 8 + z) of word x. The k-th set bit of a leaf is its cell firstCell + k.
 #pragma once
 
+#include "shared/annotation.h"
+
+#include <cstddef>
 #include <cstdint>
 
 namespace vdb_nns {
+
+constexpr std::uint32_t kNoLeaf = 0xffffffffu;
 
 struct LeafRecord {
     std::uint32_t firstSlot;        // slot of its first particle; those of the next leaf follow
@@ -27,6 +32,25 @@ struct BlockView {
     const LeafRecord* leaves;
     const std::uint32_t* cellStart;
     int reach; // cells that the radius spans, 1 to 3
+};
+
+// A block as a device holds it: own leaves, then the halo's. See src/execute/block_image.h for how it stands in memory.
+struct BlockImage {
+    static constexpr int kNeighborhoodSize = 28; // 27 leaves; which of its cells are wanted
+
+    BlockView block;
+    std::uint32_t leaves;               // own ones
+    std::uint32_t firstQuery, endQuery; // slots of the block
+    const std::uint32_t* neighborhoods;
+    const std::uint64_t* cells;
+    std::uint64_t bytes;
+
+    // The cells of an own leaf whose queries are wanted; null for all.
+    VDB_NNS_HOST_DEVICE const std::uint64_t* cellsOf(std::uint32_t leaf) const
+    {
+        const std::uint32_t set = neighborhoods[std::size_t(leaf) * kNeighborhoodSize + 27];
+        return set == kNoLeaf ? nullptr : cells + std::size_t(set) * 8;
+    }
 };
 
 } // namespace vdb_nns

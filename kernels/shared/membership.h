@@ -9,6 +9,8 @@
 //    Moved to a centre m inside the query's cell, p = fl(v - m), |p| <= R + 1 <= 4:   error + 2^-23
 //    so per axis |p - true| <= eta = E + 2^-21, and for a query q and a candidate c of one frame, with
 //      D = |p_c - p_q|^2 of the floats as they are,  d the true distance:    |sqrt(D) - d| <= 2 sqrt(3) eta =: delta
+//    m is the centre of the box of the cell's queries, or of the cell itself: then |p_q| <= 1/2 + 2^-20 an axis, as cells
+//    are found from rounded coordinates, and |p_c| <= R + 1/2 + 2^-20: far inside what the sums below take.
 //
 // 2. Arithmetic. The score of a candidate is s = fl(w_c + K + a.p_c) with w_c = fl(|p_c|^2), a = -2 p_q (exact),
 //    K = fl(w_q - far), far = rho^2 + beta rounded to float. In real arithmetic it would be D - (rho^2 + beta). With
@@ -53,7 +55,7 @@ struct FilterBounds {
         bandTop; // bits of -2 beta, rounded away from zero: s is in the band iff negative and bits <= bandTop
 };
 
-static inline std::int32_t floatBits(float value)
+VDB_NNS_HOST_DEVICE static inline std::int32_t floatBits(float value)
 {
     std::int32_t bits;
     std::memcpy(&bits, &value, sizeof bits);
@@ -74,6 +76,29 @@ static inline FilterBounds makeFilterBounds(double radiusCells, int reach, doubl
     bounds.reachable = std::nextafter(static_cast<float>(radiusCells + delta), 1e30f);
     bounds.bandTop = floatBits(std::nextafter(static_cast<float>(-2 * beta), -1e30f));
     return bounds;
+}
+
+/// What a query brings to its tests, about a centre m. The scalar test, for the host and for devices.
+struct QueryTerms {
+    float ax, ay, az, k;
+};
+
+VDB_NNS_HOST_DEVICE static inline float squaredNorm(float x, float y, float z)
+{
+    return z * z + (y * y + x * x);
+}
+
+VDB_NNS_HOST_DEVICE static inline QueryTerms queryTerms(const FilterBounds& bounds, float x, float y, float z)
+{
+    return {-2 * x, -2 * y, -2 * z, squaredNorm(x, y, z) - bounds.far};
+}
+
+/// @param w squaredNorm() of the candidate; infinite for no candidate
+/// @return bits of s: negative for a neighbor and for a candidate in the band
+VDB_NNS_HOST_DEVICE static inline std::int32_t scoreBits(const QueryTerms& query, float x, float y, float z,
+                                                         float w)
+{
+    return floatBits(z * query.az + (y * query.ay + (x * query.ax + (w + query.k))));
 }
 
 /// Squared distance from the centre of a cell's queries past which nothing is their neighbor.

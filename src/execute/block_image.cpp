@@ -221,14 +221,4 @@ BlockImage writeImage(const SparseGridData& grid, const BlockPart& part, std::by
     return ImageWriter(grid, part, staging, device).write();
 }
 
-ResultLayout resultLayout(const BlockImage& image, Encoding encoding)
-{
-    ResultLayout layout{};
-    // 64-bit words first, so that they are aligned.
-    layout.leafRows = sizeof(ResultHead);
-    layout.counts = layout.leafRows + (encoding == Encoding::kMask ? std::uint64_t(image.leaves) * 8 : 0);
-    layout.rows = layout.counts + std::uint64_t(image.endQuery - image.firstQuery) * 4;
-    return layout;
-}
-
 } // namespace vdb_nns

@@ -1,14 +1,16 @@
-// The collector: puts the rows of blocks where they stay, in the memory of lists. Reads what was downloaded, and the grid;
-// nothing of a device's.
+// The collector: decides the pairs that a device has left undecided, and puts the rows of blocks where they stay, in the
+// memory of lists. Reads what was downloaded, and the grid; nothing of a device's.
 #pragma once
 
 #include "execute/block_image.h"
 #include "execute/thread_state.h"
 #include "lists/neighbor_lists_data.h"
+#include "shared/block_result.h"
 
 #include <cstddef>
 #include <cstdint>
 #include <mutex>
+#include <vector>
 
 namespace vdb_nns {
 
@@ -28,18 +30,28 @@ private:
 
 class Collector {
 public:
-    Collector(const SparseGridData& grid, Encoding encoding, NeighborListsData& lists, ChunkPool& pool)
-        : mGrid(grid), mEncoding(encoding), mLists(lists), mRows(pool)
+    Collector(const SparseGridData& grid, const ExactTest& exact, Encoding encoding, NeighborListsData& lists,
+              ChunkPool& pool)
+        : mGrid(grid), mExact(exact), mEncoding(encoding), mLists(lists), mRows(pool)
     {
     }
 
-    // The result of a part, with the image's layout. Returns how many queries it had. Different parts at once are fine.
+    struct Collected {
+        std::uint64_t queries = 0, pairs = 0;
+    };
+
+    // The result of a part, with the image's layout; what is undecided is decided there. Different parts at once are fine.
     // Throws ChunkPool::Exhausted.
-    std::uint64_t collect(const BlockPart& part, const ResultLayout& layout, const std::byte* result,
-                          ThreadState& state);
+    Collected collect(const BlockPart& part, const ResultLayout& layout, std::byte* result,
+                      ThreadState& state);
 
 private:
+    std::vector<UndecidedPair> decide(const BlockPart& part, const ResultLayout& layout, std::byte* result,
+                                      ThreadState& state) const;
+    void eraseNeighbor(std::uint32_t slot, std::uint32_t neighbor);
+
     const SparseGridData& mGrid;
+    const ExactTest& mExact;
     const Encoding mEncoding;
     NeighborListsData& mLists;
     RowStore mRows;

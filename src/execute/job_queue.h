@@ -1,4 +1,5 @@
-// Jobs on the caller's TBB arena, and a way to wait for some of them that works on others meanwhile.
+// Jobs on the caller's TBB arena, and a way to wait for some of them that works on others meanwhile. Jobs that sleep most of
+// their time, while a device works, have threads of their own.
 #pragma once
 
 #include <tbb/task_group.h>
@@ -9,7 +10,9 @@
 #include <exception>
 #include <functional>
 #include <mutex>
+#include <thread>
 #include <utility>
+#include <vector>
 
 namespace vdb_nns {
 
@@ -25,8 +28,12 @@ public:
         {
             const std::lock_guard<std::mutex> lock(mMutex);
             mJobs.clear();
+            for (Sleeper& sleeper : mSleepers) sleeper.jobs.clear();
+            mEnding = true;
+            mChanged.notify_all();
         }
         mGroup.wait();
+        for (Sleeper& sleeper : mSleepers) sleeper.thread.join();
     }
 
     // Jobs may add jobs. Thread-safe.
@@ -42,6 +49,24 @@ public:
             std::function<void()> next;
             if (take(next)) run(next);
         });
+    }
+
+    // Starts a thread, which runs the jobs of addTo() one after the other. Returns its number.
+    std::size_t addThread()
+    {
+        const std::lock_guard<std::mutex> lock(mMutex);
+        Sleeper& sleeper = mSleepers.emplace_back();
+        sleeper.thread = std::thread([this, &sleeper] { serve(sleeper); });
+        return mSleepers.size() - 1;
+    }
+
+    void addTo(std::size_t thread, std::function<void()> job)
+    {
+        const std::lock_guard<std::mutex> lock(mMutex);
+        if (mError) return;
+        mSleepers[thread].jobs.push_back(std::move(job));
+        ++mOpen;
+        mChanged.notify_all();
     }
 
     // Returns once done() is true, which is asked whenever a job has ended. Throws what a job threw; then no more begin.
@@ -68,6 +93,26 @@ public:
     }
 
 private:
+    struct Sleeper {
+        std::thread thread;
+        std::deque<std::function<void()>> jobs;
+    };
+
+    void serve(Sleeper& sleeper)
+    {
+        for (;;) {
+            std::function<void()> job;
+            {
+                std::unique_lock<std::mutex> lock(mMutex);
+                while (!mEnding && sleeper.jobs.empty()) mChanged.wait(lock);
+                if (sleeper.jobs.empty()) return;
+                job = std::move(sleeper.jobs.front());
+                sleeper.jobs.pop_front();
+            }
+            run(job);
+        }
+    }
+
     bool take(std::function<void()>& job)
     {
         const std::lock_guard<std::mutex> lock(mMutex);
@@ -87,7 +132,10 @@ private:
         }
         const std::lock_guard<std::mutex> lock(mMutex);
         if (error && !mError) mError = error;
-        if (mError) mJobs.clear();
+        if (mError) {
+            mJobs.clear();
+            for (Sleeper& sleeper : mSleepers) sleeper.jobs.clear();
+        }
         --mOpen;
         mChanged.notify_all();
     }
@@ -95,7 +143,9 @@ private:
     std::mutex mMutex;
     std::condition_variable mChanged;
     std::deque<std::function<void()>> mJobs; // not begun
-    std::size_t mOpen = 0;                   // not ended
+    std::deque<Sleeper> mSleepers;           // stay where they are
+    bool mEnding = false;
+    std::size_t mOpen = 0; // not ended
     std::exception_ptr mError;
     tbb::task_group mGroup;
 };

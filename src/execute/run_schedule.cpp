@@ -1,15 +1,19 @@
-// See run_schedule.h. One thread decides, in the virtual time of schedule/dispatcher.h, who takes which block; the work
-// itself is jobs on the TBB arena. A device has as many blocks in flight as slots, and the next decision about it waits for
-// its oldest: so decisions do not depend on how fast this machine is.
+// See run_schedule.h. One thread decides, by the clocks of schedule/dispatcher.h, who takes which block; the work itself is
+// jobs on the TBB arena, or on threads of their own where a device does it meanwhile. A device has as many blocks in flight as
+// slots, and the next decision about it waits for its oldest: so with simulated devices alone decisions do not depend on how
+// fast this machine is. What other devices, and the CPU beside them, turn out to do in a second replaces their rates.
 #include "execute/run_schedule.h"
 
-#include "execute/block_image.h"
+#include "cuda/launch.h"
+#include "execute/block_flight.h"
 #include "execute/collector.h"
 #include "execute/job_queue.h"
 #include "execute/simulated_device.h"
 #include "schedule/dispatcher.h"
 #include "vdb_nns/error.h"
 #include "workload/block_halo.h"
+
+#include <tbb/task_arena.h>
 
 #include <algorithm>
 #include <atomic>
@@ -42,6 +46,7 @@ struct RunBlock {
     bool withHalo;
     bool isStaged = false; // the part's halo is made, and its boundary region handed to TBB workers
     double expectedPairs;
+    double undecidedPerQuery = 0; // pairs, where known from an overflow
 
     std::uint64_t queries() const { return part.endSlot - part.firstSlot; }
     // TBB workers have the queries outside of it now.
@@ -53,12 +58,17 @@ struct Flight {
     RunBlock block;
     std::size_t slot;
     std::atomic<bool> ended{false};
-    ResultHead head{};
-    std::uint64_t bytesDown = 0, particles = 0;
+    FlownBlock flown;
+    Collector::Collected collected;
     double collectSeconds = 0;
-    bool overflowed = false;
     std::vector<std::uint32_t> counts; // of its queries, after an overflow
     std::string failure;
+
+    std::uint64_t pairs() const
+    {
+        return flown.overflowed ? std::accumulate(counts.begin(), counts.end(), std::uint64_t(0))
+                                : collected.pairs;
+    }
 };
 
 // Neighbors of queries, by slot of the grid, where they are known.
@@ -72,15 +82,14 @@ struct Counts {
     }
 };
 
-struct Slot {
-    std::byte *device, *staging;
-};
-
 struct Executor {
     std::unique_ptr<BlockDevice> device;
-    std::vector<Slot> slots;
+    std::vector<DeviceSlot> slots;
+    std::vector<std::size_t> threads; // of the slots, where they have some
     std::uint64_t slotBytes = 0;
     std::size_t begun = 0;
+    StepTimes times; // of blocks that have come back
+    std::uint64_t tests = 0, bytesUp = 0, bytesDown = 0;
     std::deque<std::unique_ptr<Flight>> flights; // oldest first
 };
 
@@ -119,7 +128,7 @@ public:
           mLists(lists),
           mPool(pool),
           mReport(report),
-          mCollector(run.grid, mEncoding, lists, pool),
+          mCollector(run.grid, run.exact, mEncoding, lists, pool),
           mPairs(schedule.blocks.size())
     {
     }
@@ -136,6 +145,7 @@ private:
     void startOnDevice(int device, RunBlock block);
     void settleOldest(int device);
     void learn(const Flight& flight);
+    void measure(int device, const Flight& flight);
     void split(const RunBlock& whole, const Counts& counts);
     RunBlock partOf(const RunBlock& whole, std::uint32_t firstLeaf, std::uint32_t endLeaf,
                     std::uint32_t firstSlot, std::uint32_t endSlot, const Counts& counts) const;
@@ -144,10 +154,14 @@ private:
     std::uint64_t wantedQueries(const BlockPart& part) const;
 
     // Jobs.
-    void runPieces(std::size_t block, std::size_t first, std::size_t end, const BlockPart& part);
-    void runBoundaryLeaf(std::size_t block, const CellSet& cells, std::uint32_t firstSlot,
-                         std::uint32_t endSlot);
-    void runTask(std::size_t block, const SearchTask& task);
+    template <typename Job>
+    void timeJob(double testsPerQuery, Job&& job);
+    static double testsPerQuery(const RunBlock& block);
+    // All return how many queries they ran.
+    std::uint64_t runPieces(std::size_t block, std::size_t first, std::size_t end, const BlockPart& part);
+    std::uint64_t runBoundaryLeaf(std::size_t block, const CellSet& cells, std::uint32_t firstSlot,
+                                  std::uint32_t endSlot);
+    std::uint64_t runTask(std::size_t block, const SearchTask& task);
     void stage(RunBlock& block);
     void requireRoom(const RunBlock& block, std::uint64_t slotBytes) const;
     void runFlight(Executor& executor, Flight& flight);
@@ -170,7 +184,10 @@ private:
     std::vector<std::atomic<std::uint64_t>> mPairs; // by block of the schedule
     std::atomic<std::uint64_t> mCpuParticles{0};
     std::atomic<std::uint64_t> mDeviceParticles{0}; // collected
-    double mActualPairs = 0, mExpectedPairs = 0;    // of blocks that a device is done with
+    // Of blocks that a device is done with.
+    double mActualPairs = 0, mExpectedPairs = 0, mUndecidedBytes = 0, mUndecidedRoom = 0, mBytesDown = 0;
+    std::atomic<std::uint64_t> mCpuTests{0}, mCpuNanoseconds{0}; // of all workers together
+    const double mStart = now();
     JobQueue mJobs; // last: its jobs use all of the above, and its destructor waits for them
 };
 
@@ -187,12 +204,26 @@ void ScheduleRunner::execute(const std::vector<DeviceLimits>& devices, const Dev
     handOut();
     mJobs.runAll();
     for (std::size_t d = 0; d < mExecutors.size(); ++d) {
-        mReport.devices[d].busySeconds = mDispatcher->deviceSeconds(static_cast<int>(d));
-        if (mExecutors[d].device) mReport.devices[d].peakBytes = mExecutors[d].device->peakBytes();
+        const Executor& executor = mExecutors[d];
+        DeviceRun& report = mReport.devices[d];
+        report.busySeconds = mDispatcher->deviceSeconds(static_cast<int>(d));
+        if (!executor.device) continue;
+        report.peakBytes = executor.device->peakBytes();
+        if (executor.device->isSimulated()) continue;
+        report.busySeconds = executor.times.searchSeconds;
+        report.uploadSeconds = executor.times.uploadSeconds;
+        report.downloadSeconds = executor.times.downloadSeconds;
+        report.bytesUp = executor.bytesUp;
+        report.bytesDown = executor.bytesDown;
     }
     mReport.cpuParticles = mCpuParticles;
-    mReport.cpuBusySeconds = mDispatcher->cpuSeconds();
-    mReport.seconds = mDispatcher->doneSeconds();
+    const bool isVirtual = std::all_of(mExecutors.begin(), mExecutors.end(), [](const Executor& executor) {
+        return !executor.device || executor.device->isSimulated();
+    });
+    mReport.seconds = isVirtual ? mDispatcher->doneSeconds() : now() - mStart;
+    mReport.cpuBusySeconds =
+        isVirtual ? mDispatcher->cpuSeconds()
+                  : 1e-9 * static_cast<double>(mCpuNanoseconds) / tbb::this_task_arena::max_concurrency();
     mReport.blockPairs.assign(mPairs.begin(), mPairs.end());
 }
 
@@ -239,6 +270,10 @@ void ScheduleRunner::openDevices(const DeviceMaker& makeDevice)
     for (std::size_t d = 0; d < mLimits.size(); ++d) {
         mExecutors[d].device = makeDevice(mLimits[d], mRun, mEngine.states);
         allocateSlots(d);
+        if (!mExecutors[d].device->isSimulated()) {
+            for (std::size_t s = 0; s < mExecutors[d].slots.size(); ++s)
+                mExecutors[d].threads.push_back(mJobs.addThread());
+        }
         mLimits[d].slots = std::max(1, static_cast<int>(mExecutors[d].slots.size()));
         budgets.push_back(mExecutors[d].slotBytes);
     }
@@ -261,9 +296,11 @@ void ScheduleRunner::allocateSlots(std::size_t device)
     std::uint64_t bytes = need.bytes;
     do {
         try {
-            executor.slots.resize(need.slots);
-            for (Slot& slot : executor.slots) slot.device = executor.device->allocate(bytes);
-            for (Slot& slot : executor.slots) slot.staging = executor.device->allocateStaging(bytes);
+            for (std::size_t s = 0; s < need.slots; ++s) {
+                executor.slots.push_back(
+                    {static_cast<int>(s), executor.device->allocate(bytes), nullptr, bytes});
+            }
+            for (DeviceSlot& slot : executor.slots) slot.staging = executor.device->allocateStaging(bytes);
             executor.slotBytes = bytes;
             return;
         } catch (const OutOfDeviceMemory&) {
@@ -341,14 +378,32 @@ void ScheduleRunner::startOnCpu(const RunBlock& block)
         const auto begin = static_cast<std::size_t>(p - pieces.begin());
         const std::size_t stop =
             std::min(begin + kPiecesOfJob, static_cast<std::size_t>(end - pieces.begin()));
-        mJobs.add([this, number = block.block, begin, stop, part] { runPieces(number, begin, stop, *part); });
+        mJobs.add([this, number = block.block, begin, stop, part, each = testsPerQuery(block)] {
+            timeJob(each, [&] { return runPieces(number, begin, stop, *part); });
+        });
     }
 }
 
+double ScheduleRunner::testsPerQuery(const RunBlock& block)
+{
+    return static_cast<double>(block.item.tests) / static_cast<double>(block.queries());
+}
+
+template <typename Job>
+void ScheduleRunner::timeJob(double testsPerQuery, Job&& job)
+{
+    const double start = now();
+    const std::uint64_t queries = job();
+    mCpuNanoseconds += static_cast<std::uint64_t>(1e9 * (now() - start));
+    mCpuTests += static_cast<std::uint64_t>(testsPerQuery * static_cast<double>(queries));
+}
+
 // Runs the queries of a part that are in some pieces.
-void ScheduleRunner::runPieces(std::size_t block, std::size_t first, std::size_t end, const BlockPart& part)
+std::uint64_t ScheduleRunner::runPieces(std::size_t block, std::size_t first, std::size_t end,
+                                        const BlockPart& part)
 {
     const SparseGridData& grid = mRun.grid;
+    std::uint64_t queries = 0;
     for (std::size_t p = first; p < end; ++p) {
         mRun.cancel.check();
         const Piece& piece = mRun.pieces[p];
@@ -364,23 +419,25 @@ void ScheduleRunner::runPieces(std::size_t block, std::size_t first, std::size_t
             for (int x = 0; x < 8; ++x) cells[x] = grid.leaves[piece.leaf].occupancy[x] & ~without->cells[x];
             task.cells = cells;
         }
-        runTask(block, task);
+        queries += runTask(block, task);
     }
     showProgress();
+    return queries;
 }
 
-void ScheduleRunner::runBoundaryLeaf(std::size_t block, const CellSet& set, std::uint32_t firstSlot,
-                                     std::uint32_t endSlot)
+std::uint64_t ScheduleRunner::runBoundaryLeaf(std::size_t block, const CellSet& set, std::uint32_t firstSlot,
+                                              std::uint32_t endSlot)
 {
     const SparseGridData& grid = mRun.grid;
     mRun.cancel.check();
     LeafNeighborhood neighborhood;
     grid.topology.neighborhoods({&grid.leafOrigins[set.leaf], 1}, &neighborhood);
-    runTask(block, {set.leaf, std::max(firstSlot, grid.leaves[set.leaf].firstSlot),
+    return runTask(block,
+                   {set.leaf, std::max(firstSlot, grid.leaves[set.leaf].firstSlot),
                     std::min(endSlot, grid.leaves[set.leaf + 1].firstSlot), neighborhood.leaf, set.cells});
 }
 
-void ScheduleRunner::runTask(std::size_t block, const SearchTask& task)
+std::uint64_t ScheduleRunner::runTask(std::size_t block, const SearchTask& task)
 {
     ThreadState& state = mEngine.states.local();
     const std::uint64_t before = state.statistics.pairs;
@@ -395,6 +452,7 @@ void ScheduleRunner::runTask(std::size_t block, const SearchTask& task)
     if (!task.cells || mEncoding != Encoding::kMask) mEngine.makeRows(mRun, task, state, mPool, mLists);
     mPairs[block] += state.statistics.pairs - before;
     mCpuParticles += queries;
+    return queries;
 }
 
 // ---- devices -------------------------------------------------------------------------------------------------------
@@ -407,7 +465,12 @@ void ScheduleRunner::startOnDevice(int device, RunBlock block)
     flight->slot = executor.begun++ % executor.slots.size();
     Flight& own = *flight;
     executor.flights.push_back(std::move(flight));
-    mJobs.add([this, &executor, &own] { runFlight(executor, own); });
+    const auto job = [this, &executor, &own] { runFlight(executor, own); };
+    if (executor.threads.empty()) {
+        mJobs.add(job);
+    } else {
+        mJobs.addTo(executor.threads[own.slot], job);
+    }
 }
 
 // Makes the halo of a block, or hands its boundary region to TBB workers.
@@ -421,7 +484,9 @@ void ScheduleRunner::stage(RunBlock& block)
         block.part.without = std::move(halo.boundary);
         for (const CellSet& set : block.part.without) {
             mJobs.add([this, number = block.block, set, first = block.part.firstSlot,
-                       end = block.part.endSlot] { runBoundaryLeaf(number, set, first, end); });
+                       end = block.part.endSlot, each = testsPerQuery(block)] {
+                timeJob(each, [&] { return runBoundaryLeaf(number, set, first, end); });
+            });
         }
     }
     block.isStaged = true;
@@ -430,11 +495,7 @@ void ScheduleRunner::stage(RunBlock& block)
 // A schedule of another grid may say less than its blocks take; nothing is written then.
 void ScheduleRunner::requireRoom(const RunBlock& block, std::uint64_t slotBytes) const
 {
-    using M = MemoryModel;
-    std::uint64_t needed =
-        imageBytes(mRun.grid, block.part) + M::kResultBytes + block.queries() * M::kCountBytes;
-    if (mEncoding == Encoding::kMask)
-        needed += (block.part.endLeaf - block.part.firstLeaf) * M::kMaskLeafBytes;
+    const std::uint64_t needed = leastBytes(mRun.grid, block.part, mEncoding);
     if (needed <= slotBytes) return;
     throw InvalidInput("block " + std::to_string(block.block) + " needs " + std::to_string(needed) +
                        " bytes and more, and the schedule has " + std::to_string(slotBytes) +
@@ -443,37 +504,25 @@ void ScheduleRunner::requireRoom(const RunBlock& block, std::uint64_t slotBytes)
 
 void ScheduleRunner::runFlight(Executor& executor, Flight& flight)
 {
-    const Slot& slot = executor.slots[flight.slot];
-    const int number = static_cast<int>(flight.slot);
-    BlockDevice& device = *executor.device;
+    const DeviceSlot& slot = executor.slots[flight.slot];
     try {
         mRun.cancel.check();
         stage(flight.block);
         requireRoom(flight.block, executor.slotBytes);
-        const BlockImage image = writeImage(mRun.grid, flight.block.part, slot.staging, slot.device);
-        device.upload(number, slot.device, slot.staging, image.bytes);
-        std::byte* const result = slot.device + image.bytes;
-        device.search(number,
-                      {image, mRun.context.bounds, mEncoding, result, executor.slotBytes - image.bytes});
-        // The image is on the device; its staging memory takes the result.
-        const ResultLayout layout = resultLayout(image, mEncoding);
-        device.download(number, slot.staging, result, layout.rows);
-        device.wait(number);
-        std::memcpy(&flight.head, slot.staging, sizeof flight.head);
-        flight.bytesDown = layout.rows;
-        if (layout.rows + flight.head.rowBytes > executor.slotBytes - image.bytes) {
-            const auto* const counts = reinterpret_cast<const std::uint32_t*>(slot.staging + layout.counts);
+        const BlockPart& part = flight.block.part;
+        const bool isKnown = mEncoding != Encoding::kIndex && part.without.empty();
+        flight.flown = flyBlock(*executor.device, slot, mRun.grid, part,
+                                {mRun.context.bounds, mEncoding, isKnown ? flight.block.item.bytes.down : 0});
+        const FlownBlock& flown = flight.flown;
+        if (flown.overflowed) {
+            const auto* const counts =
+                reinterpret_cast<const std::uint32_t*>(flown.result + flown.layout.counts);
             flight.counts.assign(counts, counts + flight.block.queries());
-            flight.overflowed = true;
         } else {
-            device.download(number, slot.staging + layout.rows, result + layout.rows, flight.head.rowBytes);
-            device.wait(number);
-            flight.bytesDown += flight.head.rowBytes;
             const double start = now();
-            flight.particles =
-                mCollector.collect(flight.block.part, layout, slot.staging, mEngine.states.local());
+            flight.collected = mCollector.collect(part, flown.layout, flown.result, mEngine.states.local());
             flight.collectSeconds = now() - start;
-            mPairs[flight.block.block] += flight.head.pairs;
+            mPairs[flight.block.block] += flight.collected.pairs;
         }
     } catch (const DeviceError& error) {
         flight.failure = error.what();
@@ -491,7 +540,7 @@ void ScheduleRunner::settleOldest(int device)
     mJobs.runUntil([&] { return executor.flights.front()->ended.load(); });
     const std::unique_ptr<Flight> flight = std::move(executor.flights.front());
     executor.flights.pop_front();
-    mDispatcher->finish(device, flight->bytesDown);
+    mDispatcher->finish(device, flight->flown.bytesDown);
     flight->block.leaveOutside();
     if (!flight->failure.empty()) {
         if (mOptions.onFailure == DeviceFailure::kStop) throw DeviceError(flight->failure);
@@ -502,14 +551,17 @@ void ScheduleRunner::settleOldest(int device)
         return;
     }
     learn(*flight);
-    if (flight->overflowed) {
+    if (!executor.device->isSimulated()) measure(device, *flight);
+    if (flight->flown.overflowed) {
         ++mReport.overflows;
+        flight->block.undecidedPerQuery =
+            static_cast<double>(flight->flown.head.undecided) / static_cast<double>(flight->block.queries());
         split(flight->block, {flight->counts.data(), flight->block.part.firstSlot});
         return;
     }
     report.blocks += 1;
-    report.particles += flight->particles;
-    mDeviceParticles += flight->particles;
+    report.particles += flight->collected.queries;
+    mDeviceParticles += flight->collected.queries;
     mReport.collectSeconds += flight->collectSeconds;
     showProgress();
 }
@@ -523,16 +575,53 @@ void ScheduleRunner::showProgress() const
 // The ratio of actual to expected pairs of blocks that are done corrects what the others are taken to need.
 void ScheduleRunner::learn(const Flight& flight)
 {
-    if (mEncoding != Encoding::kIndex || !(flight.block.expectedPairs > 0)) return;
-    const std::uint64_t wanted = wantedQueries(flight.block.part);
-    mActualPairs += static_cast<double>(flight.head.pairs);
-    mExpectedPairs += flight.block.expectedPairs * static_cast<double>(wanted) /
-                      static_cast<double>(flight.block.queries());
-    if (mExpectedPairs > 0) {
-        constexpr double kMost = 1e6;
-        const double ratio = mActualPairs / mExpectedPairs / (1 + mSchedule.model.margin);
-        mDispatcher->correct(std::clamp(ratio, 1.0, kMost));
+    constexpr double kMost = 1e6, kMargin = 1.05;
+    Dispatcher::Correction correction;
+    mUndecidedBytes += static_cast<double>(flight.flown.head.undecided * sizeof(UndecidedPair));
+    mUndecidedRoom += static_cast<double>(undecidedRoom(flight.block.queries()));
+    mBytesDown += static_cast<double>(flight.block.item.bytes.down);
+    correction.more = std::clamp((kMargin * mUndecidedBytes - mUndecidedRoom) / mBytesDown, 0.0, kMost);
+    if (mEncoding == Encoding::kIndex && flight.block.expectedPairs > 0) {
+        const std::uint64_t wanted = wantedQueries(flight.block.part);
+        mActualPairs += static_cast<double>(flight.pairs());
+        mExpectedPairs += flight.block.expectedPairs * static_cast<double>(wanted) /
+                          static_cast<double>(flight.block.queries());
     }
+    if (mExpectedPairs > 0) {
+        const double ratio = mActualPairs / mExpectedPairs / (1 + mSchedule.model.margin);
+        correction.ratio = std::clamp(ratio, 1.0, kMost);
+    }
+    mDispatcher->correct(correction);
+}
+
+// What the device, and the CPU beside it, have done so far replaces the rates that they were taken to have.
+void ScheduleRunner::measure(int device, const Flight& flight)
+{
+    Executor& executor = mExecutors[static_cast<std::size_t>(device)];
+    const FlownBlock& flown = flight.flown;
+    StepTimes& times = executor.times;
+    times.uploadSeconds += flown.times.uploadSeconds;
+    times.searchSeconds += flown.times.searchSeconds;
+    times.downloadSeconds += flown.times.downloadSeconds;
+    executor.tests += flight.block.item.tests;
+    executor.bytesUp += flown.bytesUp;
+    executor.bytesDown += flown.bytesDown;
+    const auto rate = [](std::uint64_t amount, double seconds, double before) {
+        return amount > 0 && seconds > 0 ? static_cast<double>(amount) / seconds : before;
+    };
+    const Rates before = mLimits[static_cast<std::size_t>(device)].rates;
+    const double elapsed = now() - mStart;
+    mDispatcher->observe(device, elapsed,
+                         {0, rate(executor.tests, times.searchSeconds, before.testsPerSecond),
+                          rate(executor.bytesUp, times.uploadSeconds, before.uploadBytesPerSecond),
+                          rate(executor.bytesDown, times.downloadSeconds, before.downloadBytesPerSecond)});
+    // A worker's rate, as long as too little is done to tell, is what it was taken to be.
+    constexpr std::uint64_t kTellingTests = 1'000'000;
+    const std::uint64_t tests = mCpuTests;
+    if (tests < kTellingTests) return;
+    const double workers = tbb::this_task_arena::max_concurrency();
+    mDispatcher->observeCpu(
+        elapsed, tests, workers * static_cast<double>(tests) / (1e-9 * static_cast<double>(mCpuNanoseconds)));
 }
 
 // Queries of a part, without those that others have.
@@ -640,8 +729,15 @@ RunBlock ScheduleRunner::partOf(const RunBlock& whole, std::uint32_t firstLeaf, 
     }
     BlockBytes& bytes = half.item.bytes;
     bytes.up = imageBytes(grid, half.part);
-    bytes.down = M::kResultBytes + half.queries() * M::kCountBytes;
+    constexpr double kUndecidedMargin = 1.25; // queries of a part may have more than those of the whole
+    const auto undecided = static_cast<std::uint64_t>(kUndecidedMargin * half.undecidedPerQuery *
+                                                      static_cast<double>(half.queries()));
+    bytes.down = M::kResultBytes + half.queries() * M::kCountBytes + undecidedRoom(half.queries()) +
+                 undecided * sizeof(UndecidedPair);
+    bytes.scratch = scratchBytes(half.queries(), mEncoding);
     half.item.isExact = counts.count || mEncoding != Encoding::kIndex;
+    // The smallest parts are tried whatever is feared of them.
+    half.item.isTried = counts.count || half.queries() <= Block::kFewestQueries;
     if (mEncoding == Encoding::kMask) {
         bytes.down +=
             words * sizeof(std::uint32_t) + (endLeaf - firstLeaf) * M::kMaskLeafBytes + M::kMaskBlockBytes;
@@ -670,11 +766,33 @@ std::uint64_t hostBytesOf(const Schedule& schedule, const std::vector<DeviceLimi
 std::unique_ptr<BlockDevice> openDevice(const DeviceLimits& limits, const SearchRun& run,
                                         ThreadStates& states)
 {
-    if (limits.kind != DeviceKind::kSim) {
-        throw DeviceError("device '" + limits.name + "' is a " + deviceKindName(limits.kind) +
-                          " device: only simulated ones can be searched with so far");
+    switch (limits.kind) {
+    case DeviceKind::kSim:
+        return std::make_unique<SimulatedDevice>(limits.name, limits.memoryBytes, run, states);
+    case DeviceKind::kCuda:
+        return cuda::openBlockDevice(
+            {limits.ordinal, limits.name, limits.memoryBytes, limits.slots, limits.mapped});
+    case DeviceKind::kCpu:
+        break;
     }
-    return std::make_unique<SimulatedDevice>(limits.name, limits.memoryBytes, run, states);
+    throw InvalidInput("device '" + limits.name + "' is the CPU, which is no device: give none instead");
+}
+
+std::vector<DeviceLimits> cudaDevices()
+{
+    // A guess: 128 lanes at 1.5 GHz, ten operations a test, and a fifth of that.
+    constexpr double kTestsOfMultiprocessor = 4e9;
+    std::vector<DeviceLimits> devices;
+    for (const cuda::Device& found : cuda::listDevices()) {
+        DeviceLimits device;
+        device.kind = DeviceKind::kCuda;
+        device.name = found.name;
+        device.memoryBytes = cuda::freeBytes(found.ordinal);
+        device.ordinal = found.ordinal;
+        device.rates.testsPerSecond = kTestsOfMultiprocessor * found.multiprocessors;
+        devices.push_back(std::move(device));
+    }
+    return devices;
 }
 
 NeighborLists runSchedule(EngineState& engine, const SparseGrid& grid, const Schedule& schedule,

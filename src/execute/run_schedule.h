@@ -1,8 +1,8 @@
 // Runs a schedule: blocks on devices, the rest on TBB workers, rows into lists.
 #pragma once
 
-#include "execute/block_device.h"
 #include "execute/engine_state.h"
+#include "shared/block_device.h"
 #include "vdb_nns/executor.h"
 
 #include <functional>

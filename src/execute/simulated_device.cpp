@@ -17,11 +17,15 @@ public:
         : mRun(run),
           mBlock(block),
           mState(state),
-          mLayout(resultLayout(block.image, block.encoding)),
+          mLayout(resultLayout(block.image.leaves, block.image.endQuery - block.image.firstQuery,
+                               block.encoding)),
           mContext{block.image.block, block.bounds},
           mCounts(at(mLayout.counts)),
           mRows(at(mLayout.rows)),
-          mRoom((block.resultBytes - mLayout.rows) / sizeof(std::uint32_t))
+          mRoom(
+              (resultRoom(block.resultBytes, block.image.endQuery - block.image.firstQuery, block.encoding) -
+               mLayout.rows) /
+              sizeof(std::uint32_t))
     {
     }
 
@@ -35,7 +39,7 @@ public:
         } catch (const MasksDoNotFit&) {
             mEntries = std::max(countMaskWords(), mRoom + 1);
         }
-        const ResultHead head{mStatistics.pairs, mEntries * sizeof(std::uint32_t), mStatistics.bandPairs,
+        const ResultHead head{mEntries * sizeof(std::uint32_t), 0, mStatistics.bandPairs,
                               std::exchange(mState.exactPairs, exactBefore) - exactBefore};
         std::memcpy(mBlock.result, &head, sizeof head);
     }
@@ -185,11 +189,10 @@ void SimulatedDevice::search(int, const BlockSearch& block)
     BlockSearcher(mRun, block, mStates.local()).search();
 }
 
-void SimulatedDevice::download(int, std::byte* staging, const std::byte* device, std::uint64_t bytes)
+std::byte* SimulatedDevice::download(int, std::byte* staging, std::byte* device, std::uint64_t bytes)
 {
     std::memcpy(staging, device, bytes);
+    return staging;
 }
-
-void SimulatedDevice::wait(int) {}
 
 } // namespace vdb_nns

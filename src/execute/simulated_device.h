@@ -2,8 +2,8 @@
 // CPU. What it would take is reckoned by schedule/device_clock.h; nothing here sleeps.
 #pragma once
 
-#include "execute/block_device.h"
 #include "execute/engine_state.h"
+#include "shared/block_device.h"
 
 #include <cstdint>
 #include <memory>
@@ -17,13 +17,14 @@ class SimulatedDevice : public BlockDevice {
 public:
     SimulatedDevice(std::string name, std::uint64_t budgetBytes, const SearchRun& run, ThreadStates& states);
 
+    bool isSimulated() const override { return true; }
     std::byte* allocate(std::uint64_t bytes) override;
     void releaseAll() override;
     std::byte* allocateStaging(std::uint64_t bytes) override;
     void upload(int slot, std::byte* device, const std::byte* staging, std::uint64_t bytes) override;
     void search(int slot, const BlockSearch& block) override;
-    void download(int slot, std::byte* staging, const std::byte* device, std::uint64_t bytes) override;
-    void wait(int slot) override;
+    std::byte* download(int slot, std::byte* staging, std::byte* device, std::uint64_t bytes) override;
+    StepTimes wait(int) override { return {}; }
     std::uint64_t peakBytes() const override { return mPeakBytes; }
 
 private:

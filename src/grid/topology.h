@@ -2,14 +2,13 @@
 // in topology.cpp and the bridge.
 #pragma once
 
+#include "shared/block_view.h"
 #include "vdb_nns/types.h"
 
 #include <cstdint>
 #include <memory>
 
 namespace vdb_nns {
-
-constexpr std::uint32_t kNoLeaf = 0xffffffffu;
 
 // Leaf indices around a leaf: [(dx+1)*9 + (dy+1)*3 + (dz+1)], kNoLeaf where nothing is; [13] is the leaf itself.
 struct LeafNeighborhood {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "grid/sparse_grid_data.h"
+#include "shared/traverse.h"
 
 #include <cstdint>
 
@@ -15,26 +16,15 @@ void forEachCandidateRun(const BlockView& block, const LeafNeighborhood& neighbo
 {
     const int reach = block.reach;
     for (int cx = x - reach; cx <= x + reach; ++cx) {
-        const int nx = (cx + 8) >> 3;
         for (int cy = y - reach; cy <= y + reach; ++cy) {
-            const int ny = (cy + 8) >> 3;
-            for (int nz = (z - reach + 8) >> 3; nz <= (z + reach + 8) >> 3; ++nz) {
-                const std::uint32_t leafIndex = neighborhood.leaf[nx * 9 + ny * 3 + nz];
-                if (leafIndex == kNoLeaf) continue;
-                const LeafRecord& leaf = block.leaves[leafIndex];
-                const int z0 = nz == 0 ? z - reach + 8 : nz == 1 ? (z > reach ? z - reach : 0) : 0;
-                const int z1 = nz == 2 ? z + reach - 8 : nz == 1 ? (z + reach < 7 ? z + reach : 7) : 7;
-                const std::uint64_t word = leaf.occupancy[cx & 7];
-                const int low = 8 * (cy & 7) + z0;
-                const std::uint64_t bits = word >> low & ((std::uint64_t(2) << (z1 - z0)) - 1);
-                if (!bits) continue;
-                std::uint32_t cell = leaf.firstCell;
-                for (int w = 0; w < (cx & 7); ++w) {
-                    cell += static_cast<std::uint32_t>(__builtin_popcountll(leaf.occupancy[w]));
-                }
-                cell +=
-                    static_cast<std::uint32_t>(__builtin_popcountll(word & ((std::uint64_t(1) << low) - 1)));
-                f(block.cellStart[cell], block.cellStart[cell + __builtin_popcountll(bits)]);
+            for (int part = 0; part < 2; ++part) {
+                const ColumnPiece piece = columnPiece(cx, cy, z, reach, part);
+                if (piece.z0 > piece.z1) break;
+                const std::uint32_t leaf =
+                    neighborhood.leaf[neighborIndex(piece.leafX, piece.leafY, piece.leafZ)];
+                if (leaf == kNoLeaf) continue;
+                const SlotRange range = columnRange(block, leaf, cx & 7, cy & 7, piece.z0, piece.z1);
+                if (range.begin != range.end) f(range.begin, range.end);
             }
         }
     }

@@ -1,12 +1,13 @@
 // Virtual time of one device: uploads, searches and downloads one block each at a time, and holds a few in its slots.
 // The same clock predicts a schedule and runs the simulated device, whose downloads are known only once a block has run:
-// so a block is begun, and finished later, in the same order.
+// so a block is begun, and finished later, in the same order. The clock of a real device is set by the one on the wall.
 #pragma once
 
 #include "vdb_nns/schedule.h"
 
 #include <algorithm>
 #include <cstddef>
+#include <cstdint>
 #include <vector>
 
 namespace vdb_nns {
@@ -29,7 +30,9 @@ public:
         const double search = mRates.latencySeconds + static_cast<double>(tests) / mRates.testsPerSecond;
         mSearchFree = std::max(mSearchFree, mUploadFree) + search;
         mSearchSeconds += search;
-        mSlots[mBegun++ % mSlots.size()].searched = mSearchFree;
+        Slot& slot = mSlots[mBegun++ % mSlots.size()];
+        slot.searched = mSearchFree;
+        slot.tests = tests;
         return start;
     }
 
@@ -42,6 +45,18 @@ public:
         return slot.free = mDownloadFree;
     }
 
+    // At this time, on the wall, a block has come back. What is in flight will be done as the rates say.
+    void observe(double seconds, const Rates& rates)
+    {
+        mRates = rates;
+        double flying = 0;
+        for (std::size_t i = mFinished; i < mBegun; ++i) {
+            flying += static_cast<double>(mSlots[i % mSlots.size()].tests) / rates.testsPerSecond;
+        }
+        mUploadFree = mSearchFree = mDownloadFree = seconds + flying;
+        for (Slot& slot : mSlots) slot.free = std::min(slot.free, mUploadFree);
+    }
+
     // When all finished blocks are done.
     double done() const { return mDownloadFree; }
     double searchSeconds() const { return mSearchSeconds; }
@@ -49,6 +64,7 @@ public:
 private:
     struct Slot {
         double free = 0, searched = 0;
+        std::uint64_t tests = 0;
     };
 
     Rates mRates;

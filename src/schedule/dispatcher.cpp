@@ -54,7 +54,24 @@ double Dispatcher::shareOf(const Item& item) const
 
 double Dispatcher::addCpuTests(std::uint64_t tests)
 {
+    mCpuTests += tests;
     return mCpuDone += static_cast<double>(tests) / mOptions.cpuTestsPerSecond;
+}
+
+void Dispatcher::observe(int device, double seconds, const Rates& rates)
+{
+    const auto d = static_cast<std::size_t>(device);
+    mDevices[d].rates = rates;
+    mClocks[d].observe(seconds, rates);
+    mLeft = 0;
+    for (const Item& item : mItems) mLeft += shareOf(item);
+}
+
+void Dispatcher::observeCpu(double seconds, std::uint64_t testsDone, double testsPerSecond)
+{
+    mOptions.cpuTestsPerSecond = testsPerSecond;
+    const std::uint64_t open = mCpuTests - std::min(mCpuTests, testsDone);
+    mCpuDone = seconds + static_cast<double>(open) / testsPerSecond;
 }
 
 Dispatcher::Turn Dispatcher::giveToCpu(const Item& item)
@@ -67,10 +84,11 @@ Dispatcher::Turn Dispatcher::giveToCpu(const Item& item)
 // To `free` if it fits, else to the first that it fits.
 Dispatcher::Turn Dispatcher::giveToDevices(const Item& item, std::size_t free)
 {
-    const double more = item.isExact ? 0 : (mRatio - 1) * static_cast<double>(item.bytes.down);
+    const double more = (item.isExact ? 0 : mCorrection.ratio - 1) + (item.isTried ? 0 : mCorrection.more);
+    const double moreBytes = more * static_cast<double>(item.bytes.down);
     const auto fitsOn = [&](std::size_t d) {
         return item.bytes.total() <= mBudgets[d] &&
-               more <= static_cast<double>(mBudgets[d] - item.bytes.total());
+               moreBytes <= static_cast<double>(mBudgets[d] - item.bytes.total());
     };
     std::size_t device = free;
     for (std::size_t d = 0; d < mClocks.size() && !fitsOn(device); ++d) {

@@ -23,7 +23,8 @@ public:
         std::uint64_t tests;
         std::uint64_t outsideTests; // of those, left to TBB workers when a device takes the block
         BlockBytes bytes;
-        bool isExact = true; // the bytes are known, not estimated
+        bool isExact = true;  // the bytes are known, not estimated
+        bool isTried = false; // has found no room before, and has bytes for what was counted then
     };
     static constexpr int kTooLarge = -2;
     struct Turn {
@@ -41,8 +42,17 @@ public:
     void setItems(std::vector<Item> items);
     // A block to be taken before all others.
     void addFirst(const Item& item) { mAgain.push_back(item); }
-    // Estimated downloads have turned out to be so many times as large.
-    void correct(double ratio) { mRatio = ratio; } // 1 or more
+    // Downloads have turned out to be larger than they were taken to be.
+    struct Correction {
+        double ratio = 1; // times as large, where they were estimated; 1 or more
+        double more = 0;  // and by this share, wherever they come from
+    };
+    void correct(const Correction& correction) { mCorrection = correction; }
+
+    // What the clock on the wall says: a device has ended a block, and this is how fast it is.
+    void observe(int device, double seconds, const Rates& rates);
+    // The CPU has done so many of the tests that it was given.
+    void observeCpu(double seconds, std::uint64_t testsDone, double testsPerSecond);
 
     // No device that is in use may be full().
     std::optional<Turn> next();
@@ -67,16 +77,17 @@ private:
     Turn giveToCpu(const Item& item);
     double shareOf(const Item& item) const;
 
-    const std::vector<DeviceLimits>& mDevices;
+    std::vector<DeviceLimits> mDevices;
     std::vector<std::uint64_t> mBudgets;
     ScheduleOptions mOptions;
     std::vector<DeviceClock> mClocks;
     std::vector<bool> mRetired;
     std::deque<Item> mItems; // largest first
     std::vector<Item> mAgain;
-    double mRatio = 1;
-    double mLeft = 0;    // seconds of what is not handed out, by the devices together
-    double mCpuDone = 0; // when the CPU's work so far is done
+    Correction mCorrection;
+    std::uint64_t mCpuTests = 0; // given to the CPU
+    double mLeft = 0;            // seconds of what is not handed out, by the devices together
+    double mCpuDone = 0;         // when the CPU's work so far is done
 };
 
 } // namespace vdb_nns

@@ -3,6 +3,7 @@
 #include "vdb_nns/workload_tree.h"
 
 #include "grid/sparse_grid_data.h"
+#include "shared/block_result.h"
 #include "util/cancel.h"
 #include "vdb_nns/error.h"
 #include "workload/block_halo.h"
@@ -106,7 +107,8 @@ BlockBytes blockBytes(const WorkloadNode& node, const MemoryModel& model, bool w
                                node.halo.leaves * M::kHaloLeafBytes
                          : node.halo.boundaryLeaves * M::kBoundaryLeafBytes;
     bytes.up = (bytes.up + 15) / 16 * 16;
-    bytes.down = M::kResultBytes + particles * M::kCountBytes;
+    bytes.down = M::kResultBytes + particles * M::kCountBytes + undecidedRoom(particles);
+    bytes.scratch = scratchBytes(particles, model.encoding);
     if (model.encoding == Encoding::kMask) {
         const double rough = static_cast<double>(node.work.maskBytes) * (1 + model.margin);
         bytes.down += model.masksAreExact ? node.work.maskBytes : static_cast<std::uint64_t>(rough);

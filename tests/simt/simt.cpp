@@ -60,6 +60,35 @@ SIMT_NO_ASAN void confirmSwitch([[maybe_unused]] void* saved, [[maybe_unused]] S
 #endif
 }
 
+/// Stacks are kept from launch to launch: mapping them anew costs more than a small kernel.
+class StackPool {
+public:
+    context::stack_context take()
+    {
+        if (mFree.empty()) return mAllocator.allocate();
+        const context::stack_context stack = mFree.back();
+        mFree.pop_back();
+        return stack;
+    }
+
+    void give(const context::stack_context& stack) { mFree.push_back(stack); }
+
+    ~StackPool()
+    {
+        for (context::stack_context& stack : mFree) mAllocator.deallocate(stack);
+    }
+
+private:
+    context::protected_fixedsize_stack mAllocator{kStackBytes};
+    std::vector<context::stack_context> mFree;
+};
+
+StackPool& stackPool()
+{
+    static StackPool pool;
+    return pool;
+}
+
 /// Unwinds the threads that are left over when a launch has failed.
 struct Abandoned {};
 
@@ -79,29 +108,25 @@ struct Lane {
 
 bool sameMeeting(const Meeting& a, const Meeting& b)
 {
-    return a.line == b.line && a.mask == b.mask && std::string_view(a.name) == b.name &&
-           std::string_view(a.file) == b.file;
+    const auto same = [](const char* s, const char* t) { return s == t || std::string_view(s) == t; };
+    return a.line == b.line && a.mask == b.mask && same(a.name, b.name) && same(a.file, b.file);
 }
 
 class Scheduler {
 public:
     Scheduler(dim3 block, std::size_t sharedBytes, std::uint64_t seed, const std::function<void()>& body)
-        : mBody(body),
-          mRandom(seed),
-          mSharedBytes(sharedBytes),
-          mLanes(block.x * block.y * block.z),
-          mStackAllocator(kStackBytes)
+        : mBody(body), mRandom(seed), mSharedBytes(sharedBytes), mLanes(block.x * block.y * block.z)
     {
         for (std::size_t i = 0; i < mLanes.size(); ++i) {
             const unsigned id = static_cast<unsigned>(i);
             mLanes[i].index = {id % block.x, id / block.x % block.y, id / block.x / block.y};
-            mLanes[i].stack = mStackAllocator.allocate();
+            mLanes[i].stack = stackPool().take();
         }
     }
 
     ~Scheduler()
     {
-        for (Lane& lane : mLanes) mStackAllocator.deallocate(lane.stack);
+        for (Lane& lane : mLanes) stackPool().give(lane.stack);
     }
 
     Scheduler(const Scheduler&) = delete;
@@ -114,6 +139,7 @@ public:
         std::generate_n(mShared.get(), mSharedBytes,
                         [this] { return static_cast<unsigned char>(mRandom()); });
         mReady.clear();
+        mWaiting.assign(mLanes.size() / warpSize + 1, 0);
         for (std::size_t i = 0; i < mLanes.size(); ++i) {
             mLanes[i].state = State::kFresh;
             mLanes[i].resumeAt = context::detail::make_fcontext(mLanes[i].stack.sp, mLanes[i].stack.size,
@@ -159,7 +185,8 @@ public:
         startWaiting(meeting);
         const std::size_t first = mCurrent - mCurrent % warpSize;
         std::uint32_t here = 0, ballot = 0;
-        for (std::size_t lane = 0; lane < warpSize && first + lane < mLanes.size(); ++lane) {
+        const bool mayBeAll = mWaiting[mCurrent / warpSize] >= __popc(meeting.mask);
+        for (std::size_t lane = 0; mayBeAll && lane < warpSize && first + lane < mLanes.size(); ++lane) {
             const Lane& other = mLanes[first + lane];
             if (other.state != State::kWaiting || !sameMeeting(other.meeting, meeting)) continue;
             here |= 1u << lane;
@@ -192,10 +219,12 @@ private:
     {
         mLanes[mCurrent].meeting = meeting;
         mLanes[mCurrent].state = State::kWaiting;
+        ++mWaiting[mCurrent / warpSize];
     }
 
     void makeReady(std::size_t lane)
     {
+        if (mLanes[lane].state == State::kWaiting) --mWaiting[lane / warpSize];
         mLanes[lane].state = State::kReady;
         mReady.push_back(lane);
     }
@@ -294,9 +323,9 @@ private:
     std::unique_ptr<unsigned char[]> mShared;
     std::vector<Lane> mLanes;
     std::vector<std::size_t> mReady;
+    std::vector<int> mWaiting; // threads of each warp
     std::size_t mCurrent = 0;
     std::exception_ptr mFailure;
-    context::protected_fixedsize_stack mStackAllocator;
     StackRange mHome; // the stack of the scheduler itself
     context::detail::fcontext_t mResumeHome = nullptr;
 };

@@ -362,15 +362,15 @@ public:
         SimulatedDevice::search(slot, block);
         fail("searched");
     }
-    void download(int slot, std::byte* staging, const std::byte* device, std::uint64_t bytes) override
+    std::byte* download(int slot, std::byte* staging, std::byte* device, std::uint64_t bytes) override
     {
         fail("download");
-        SimulatedDevice::download(slot, staging, device, bytes);
+        return SimulatedDevice::download(slot, staging, device, bytes);
     }
-    void wait(int slot) override
+    StepTimes wait(int slot) override
     {
         fail("wait");
-        SimulatedDevice::wait(slot);
+        return SimulatedDevice::wait(slot);
     }
 
 private:

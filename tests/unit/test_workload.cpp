@@ -370,16 +370,21 @@ TEST(BlockBytes, AreThoseOfTheHeader)
     // The particles, cells and leaves of block and halo, a neighborhood for each own leaf; the ends; whole lines of 16.
     const std::uint64_t up = 16 * 120 + 4 * (7 + 5) + 2 * (80 + 112) + 3 * 80 + 84 + 12;
     EXPECT_EQ(blockBytes(node, model).up, up);
-    EXPECT_EQ(blockBytes(node, model).down, 32u + 400 + 1234 + 2 * 8 + 8);
+    // The head, counts, room for undecided pairs: 256 bytes and a quarter of one for each query.
+    const std::uint64_t counts = 32u + 400 + 256 + 25;
+    EXPECT_EQ(blockBytes(node, model).down, counts + 1234 + 2 * 8 + 8);
+    // 4 groups of 32 queries in one tile, the end, and alignment.
+    EXPECT_EQ(blockBytes(node, model).scratch, 8u * (4 + 1 + 1) + 8);
     // Without the halo: the cells to be searched of two boundary leaves.
     EXPECT_EQ(blockBytes(node, model, false).up, 16u * 100 + 4 * 7 + 2 * 192 + 2 * 64 + 84 + 0);
     model.encoding = Encoding::kNone;
-    EXPECT_EQ(blockBytes(node, model).down, 432u);
+    EXPECT_EQ(blockBytes(node, model).down, counts);
+    EXPECT_EQ(blockBytes(node, model).scratch, 0u);
     model.encoding = Encoding::kIndex;
     model.margin = 0.5;
     model.auxNeighbors = 3;
-    EXPECT_EQ(blockBytes(node, model).down, 432u + 4 * 1801); // 1500.75 + 300
-    EXPECT_EQ(blockBytes(node, model).total(), up + 432 + 4 * 1801);
+    EXPECT_EQ(blockBytes(node, model).down, counts + 4 * 1801); // 1500.75 + 300
+    EXPECT_EQ(blockBytes(node, model).total(), up + counts + 4 * 1801 + 56);
 }
 
 // More than 2^64 bytes are a great many, not a few.

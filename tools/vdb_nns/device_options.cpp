@@ -2,7 +2,6 @@
 
 #include "cli_options.h"
 #include "vdb_nns/error.h"
-#include "vdb_nns/version.h"
 
 #include <algorithm>
 #include <cctype>
@@ -180,36 +179,68 @@ std::optional<std::string> numberAfter(const std::string& text, const std::strin
     return text.substr(name.size() + 1);
 }
 
-// How many simulated devices; throws for a device that is not there.
-std::uint64_t simulatedDevices(const std::string& device)
+// The CUDA devices that `--device` asks for; throws for one that is not there.
+std::vector<DeviceLimits> cudaDevicesOf(const std::string& device)
 {
-    if (device == "auto" || device == "cpu") return 0;
-    if (device == "sim") return 1;
-    if (const std::optional<std::string> count = numberAfter(device, "sim")) {
-        return parseRange(*count, "--device sim:N", 1, kMostDevices);
-    }
     const std::optional<std::string> number = numberAfter(device, "cuda");
-    if (number) parseRange(*number, "--device cuda:N", 0, 999);
-    if (device != "cuda" && !number) {
-        throw InvalidInput("--device: '" + device +
-                           "' is not a device; use auto, cpu, cuda, cuda:N, sim or sim:N");
+    const std::uint64_t ordinal = number ? parseRange(*number, "--device cuda:N", 0, 999) : 0;
+    std::vector<DeviceLimits> devices;
+    try {
+        devices = cudaDevices();
+    } catch (const DeviceError& error) {
+        throw DeviceError("--device " + device + ": " + error.what() +
+                          "; use --device cpu, or --device sim for a simulated one");
     }
-    throw DeviceError("--device " + device + ": this build cannot search on CUDA devices (CUDA: " +
-                      std::string(cudaBuild()) + "); use --device cpu, or --device sim for a simulated one");
+    if (!number) return devices;
+    if (ordinal >= devices.size()) {
+        throw DeviceError("--device " + device + ": there are " + std::to_string(devices.size()) +
+                          " CUDA devices, numbered from 0");
+    }
+    return {devices[ordinal]};
+}
+
+// What `auto` means: the CUDA devices of this machine, or none.
+std::vector<DeviceLimits> anyDevices()
+{
+    try {
+        return cudaDevices();
+    } catch (const DeviceError&) {
+        return {};
+    }
+}
+
+std::vector<DeviceLimits> devicesOf(const DeviceFlags& flags)
+{
+    if (flags.device == "cpu") return {};
+    if (flags.device == "auto") return anyDevices();
+    const std::optional<std::string> simCount = numberAfter(flags.device, "sim");
+    if (flags.device == "sim" || simCount) {
+        const std::uint64_t count = simCount ? parseRange(*simCount, "--device sim:N", 1, kMostDevices) : 1;
+        return {count, flags.sim.empty() ? plainDevice() : parseSim(flags.sim)};
+    }
+    if (flags.device == "cuda" || numberAfter(flags.device, "cuda")) return cudaDevicesOf(flags.device);
+    throw InvalidInput("--device: '" + flags.device +
+                       "' is not a device; use auto, cpu, cuda, cuda:N, sim or sim:N");
 }
 
 // Flags that would do nothing: a mistake where the CPU was asked for. With `auto` they wait for a machine that has a
 // device, but for --sim, which describes another one.
 void checkUnused(const DeviceFlags& flags)
 {
-    const std::pair<const char*, bool> given[] = {{"--sim", !flags.sim.empty()},
-                                                  {"--device-memory", !flags.deviceMemory.empty()},
+    const bool isSim = flags.device == "sim" || numberAfter(flags.device, "sim");
+    if (!flags.sim.empty() && !isSim) {
+        throw InvalidInput("--sim describes a simulated device, and --device is " + flags.device +
+                           "; use --device sim");
+    }
+    if (flags.device != "cpu") return;
+    const std::pair<const char*, bool> given[] = {{"--device-memory", !flags.deviceMemory.empty()},
                                                   {"--block-size", !flags.blockSize.empty()},
                                                   {"--boundary", flags.boundary != "auto"}};
     for (const auto& [flag, isGiven] : given) {
-        if (!isGiven || (flags.device == "auto" && std::string(flag) != "--sim")) continue;
-        throw InvalidInput(std::string(flag) + " is about a device, and --device " + flags.device +
-                           " has none; use --device sim");
+        if (!isGiven) continue;
+        throw InvalidInput(
+            std::string(flag) +
+            " is about a device, and --device cpu has none; use --device cuda, or --device sim");
     }
 }
 
@@ -302,11 +333,12 @@ DeviceRequest deviceRequest(const DeviceFlags& flags, int threads)
                                                            : BoundaryMode::kAuto;
     if (!flags.blockSize.empty()) request.schedule.blockLog2Cells = parseBlockLog2(flags.blockSize);
     request.schedule.cpuTestsPerSecond = kCpuTestsPerSecond * threads;
-    DeviceLimits device = flags.sim.empty() ? plainDevice() : parseSim(flags.sim);
-    if (!flags.deviceMemory.empty()) device.memoryBytes = parseSize(flags.deviceMemory, "--device-memory");
-    const std::uint64_t count = simulatedDevices(flags.device);
-    if (count == 0) checkUnused(flags);
-    request.devices.assign(count, device);
+    checkUnused(flags);
+    request.devices = devicesOf(flags);
+    if (!flags.deviceMemory.empty()) {
+        const std::uint64_t bytes = parseSize(flags.deviceMemory, "--device-memory");
+        for (DeviceLimits& device : request.devices) device.memoryBytes = bytes;
+    }
     if (flags.device == "auto") request.onFailure = DeviceFailure::kUseCpu;
     return request;
 }

@@ -64,17 +64,23 @@ Json devicesJson(const SearchReport& report)
     for (std::size_t d = 0; d < schedule.devices.size(); ++d) {
         const DeviceLimits& limits = report.plan->devices[d];
         // What was done, or else what is predicted.
-        DeviceRun done{schedule.devices[d].peakBytes,
-                       schedule.devices[d].blocks,
-                       schedule.devices[d].particles,
-                       schedule.devices[d].busySeconds,
-                       {}};
+        DeviceRun done;
+        done.peakBytes = schedule.devices[d].peakBytes;
+        done.blocks = schedule.devices[d].blocks;
+        done.particles = schedule.devices[d].particles;
+        done.busySeconds = schedule.devices[d].busySeconds;
         if (report.run) done = report.run->devices[d];
         Json device = deviceJson(deviceKindName(limits.kind), limits.name, limits.memoryBytes);
         device["peak_bytes"] = done.peakBytes;
         device["blocks"] = done.blocks;
         device["particles"] = done.particles;
         device["busy_seconds"] = done.busySeconds;
+        if (done.bytesUp > 0) { // measured, by a device that is there
+            device["upload_seconds"] = done.uploadSeconds;
+            device["download_seconds"] = done.downloadSeconds;
+            device["bytes_up"] = done.bytesUp;
+            device["bytes_down"] = done.bytesDown;
+        }
         if (!done.failure.empty()) device["failure"] = done.failure;
         list.push_back(device);
         cpuBlocks -= schedule.devices[d].blocks;

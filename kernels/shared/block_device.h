@@ -1,8 +1,10 @@
 // What runs blocks under a budget of memory. A block takes five steps: it is staged in host memory, uploaded, searched,
-// downloaded and collected; a device does the middle three, for several slots at once. Knows images of blocks, not schedules.
+// downloaded and collected; a device does the middle three, for several slots at once. Knows images of blocks, not
+// schedules. Any compiler.
 #pragma once
 
-#include "execute/block_image.h"
+#include "shared/block_result.h"
+#include "shared/block_view.h"
 #include "shared/membership.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/search_options.h"
@@ -27,6 +29,11 @@ public:
     using DeviceError::DeviceError;
 };
 
+// How long steps took, by the device's own clock.
+struct StepTimes {
+    double uploadSeconds = 0, searchSeconds = 0, downloadSeconds = 0;
+};
+
 // Steps of one slot are called one after the other; different slots may be served by different threads at once. upload(),
 // search() and download() may return before they are done; wait() returns when all of its slot's are.
 // A step that fails throws DeviceError: the block is lost, and the device with it.
@@ -34,8 +41,12 @@ class BlockDevice {
 public:
     virtual ~BlockDevice() = default;
 
+    // A simulated device searches on the caller's thread, in time that its rates say. Any other one works while wait()
+    // sleeps, and measures its times.
+    virtual bool isSimulated() const = 0;
+
     // Memory of the device, and host memory that transfers are fast from and to; until everything is released, or the
-    // device destroyed. Throws OutOfDeviceMemory for either.
+    // device destroyed. Throws OutOfDeviceMemory for either. One staging area for each piece of memory, in the same order.
     virtual std::byte* allocate(std::uint64_t bytes) = 0;
     virtual std::byte* allocateStaging(std::uint64_t bytes) = 0;
     virtual void releaseAll() = 0;
@@ -43,8 +54,11 @@ public:
     virtual void upload(int slot, std::byte* device, const std::byte* staging, std::uint64_t bytes) = 0;
     // A result that finds no room is counted on to its true size, in its ResultHead and its counts; its rows are unusable.
     virtual void search(int slot, const BlockSearch& block) = 0;
-    virtual void download(int slot, std::byte* staging, const std::byte* device, std::uint64_t bytes) = 0;
-    virtual void wait(int slot) = 0;
+    // Returns where the bytes are to be read and changed after wait(): in `staging`, or where they were if the host can
+    // read the device's memory.
+    virtual std::byte* download(int slot, std::byte* staging, std::byte* device, std::uint64_t bytes) = 0;
+    // Of the slot's steps since it was waited for last; 0 for a simulated device.
+    virtual StepTimes wait(int slot) = 0;
 
     virtual std::uint64_t peakBytes() const = 0;
 };

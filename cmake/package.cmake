@@ -1,0 +1,54 @@
+# `cpack` makes vdb_nns-VERSION-linux-x86_64.tar.gz: the program with all libraries that it needs but the C library, for
+# machines that have none of them. All of it is the component `portable`, which `cmake --install` leaves out unless asked.
+#   bin/vdb_nns   lib/vdb_nns/*.so*   LICENSE README.md INSTALL.txt   share/doc/vdb_nns/licenses/*
+# What else goes into the package: install(.. COMPONENT portable EXCLUDE_FROM_ALL), to bin/ if it is to be run.
+
+# The same objects, linked once more, as the program of `cmake --install` must go on to use the libraries of the system.
+# DT_RPATH rather than today's DT_RUNPATH: it serves the libraries of libraries too, which so need no rpath each (CMake
+# can take one out of a finished library, but not put one in), and no LD_LIBRARY_PATH comes before it.
+get_target_property(libraries vdb_nns_cli LINK_LIBRARIES)
+add_executable(vdb_nns_portable $<TARGET_OBJECTS:vdb_nns_cli>)
+target_link_libraries(vdb_nns_portable PRIVATE ${libraries})
+target_link_options(vdb_nns_portable PRIVATE LINKER:--disable-new-dtags)
+if(TARGET TBB::tbbmalloc) # which oneTBB loads by its name while it runs: linked, it comes along and is the one found
+    target_link_libraries(vdb_nns_portable PRIVATE TBB::tbbmalloc)
+    target_link_options(vdb_nns_portable PRIVATE LINKER:--no-as-needed)
+endif()
+set_target_properties(vdb_nns_portable PROPERTIES
+    OUTPUT_NAME vdb_nns RUNTIME_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}/portable"
+    LINKER_LANGUAGE CXX # objects alone do not tell
+    INSTALL_RPATH "$ORIGIN/../lib/vdb_nns")
+
+set(portable COMPONENT portable EXCLUDE_FROM_ALL)
+install(TARGETS vdb_nns_portable RUNTIME_DEPENDENCY_SET portable_libraries RUNTIME DESTINATION bin ${portable})
+if(BUILD_SHARED_LIBS)
+    install(TARGETS vdb_nns RUNTIME_DEPENDENCY_SET portable_libraries
+        LIBRARY DESTINATION lib/vdb_nns ${portable} NAMELINK_SKIP)
+endif()
+# The C library is the system's: its parts fit each other and the loader, whose path is fixed in every program.
+install(RUNTIME_DEPENDENCY_SET portable_libraries
+    PRE_EXCLUDE_REGEXES "^ld-linux" "^lib(c|m|mvec|pthread|dl|rt|util|resolv|anl)\\.so"
+    POST_EXCLUDE_REGEXES "/libvdb_nns\\.so"
+    LIBRARY DESTINATION lib/vdb_nns ${portable})
+install(CODE "set(library_architecture \"${CMAKE_LIBRARY_ARCHITECTURE}\")" ${portable})
+install(SCRIPT "${PROJECT_SOURCE_DIR}/cmake/package_libraries.cmake" ${portable})
+
+set(glibc "of the machine that built this")
+execute_process(COMMAND getconf GNU_LIBC_VERSION OUTPUT_VARIABLE printed ERROR_QUIET OUTPUT_STRIP_TRAILING_WHITESPACE)
+if(printed MATCHES "^glibc ([0-9.]+)$")
+    set(glibc "${CMAKE_MATCH_1}")
+endif()
+configure_file("${PROJECT_SOURCE_DIR}/cmake/package_install.txt.in" "${PROJECT_BINARY_DIR}/portable/INSTALL.txt" @ONLY)
+install(FILES "${PROJECT_SOURCE_DIR}/LICENSE" "${PROJECT_SOURCE_DIR}/README.md"
+    "${PROJECT_BINARY_DIR}/portable/INSTALL.txt" DESTINATION . ${portable})
+
+set(CPACK_GENERATOR TGZ)
+set(CPACK_SOURCE_GENERATOR TGZ)
+set(CPACK_SOURCE_IGNORE_FILES "${PROJECT_SOURCE_DIR}/build" "/\\\\.git(/|$)" "/__pycache__/")
+set(CPACK_PACKAGE_FILE_NAME "vdb_nns-${PROJECT_VERSION}-linux-x86_64")
+set(CPACK_PACKAGE_CHECKSUM SHA256)
+set(CPACK_STRIP_FILES ON)
+set(CPACK_INSTALL_CMAKE_PROJECTS "${PROJECT_BINARY_DIR};${PROJECT_NAME};portable;/")
+set(CPACK_INSTALL_DEFAULT_DIRECTORY_PERMISSIONS # whatever the umask
+    OWNER_READ OWNER_WRITE OWNER_EXECUTE GROUP_READ GROUP_EXECUTE WORLD_READ WORLD_EXECUTE)
+include(CPack)

@@ -1,0 +1,246 @@
+// BlockDevice on a CUDA device: one stream for each slot, so that blocks of different slots upload, search and download at
+// the same time; memory is taken once and counted to the byte; events are the only thing that is waited for. The mapped
+// variant, a baseline, keeps blocks in pinned host memory that kernels read and write through the link.
+#include "cuda/cuda_check.h"
+#include "cuda/launch.h"
+#include "cuda/search_block.h"
+
+#include <algorithm>
+#include <array>
+#include <memory>
+#include <utility>
+#include <vector>
+
+namespace vdb_nns::cuda {
+
+namespace {
+
+// Left to the driver and to other programs of the device.
+constexpr std::uint64_t kReserveBytes = std::uint64_t(64) << 20;
+
+enum Step { kUpload, kSearch, kDownload, kSteps };
+
+class CudaDevice final : public BlockDevice {
+public:
+    explicit CudaDevice(const OpenOptions& options) : mOptions(options)
+    {
+        select();
+        try {
+            mSlots.resize(static_cast<std::size_t>(options.slots));
+            for (Slot& slot : mSlots) {
+                VDB_NNS_CUDA_CHECK(cudaStreamCreateWithFlags(&slot.stream, cudaStreamNonBlocking));
+                for (Interval& interval : slot.intervals) {
+                    VDB_NNS_CUDA_CHECK(cudaEventCreateWithFlags(&interval.begin, cudaEventBlockingSync));
+                    VDB_NNS_CUDA_CHECK(cudaEventCreateWithFlags(&interval.end, cudaEventBlockingSync));
+                }
+            }
+        } catch (...) {
+            close();
+            throw;
+        }
+    }
+
+    ~CudaDevice() override { close(); }
+    CudaDevice(const CudaDevice&) = delete;
+    CudaDevice& operator=(const CudaDevice&) = delete;
+
+    bool isSimulated() const override { return false; }
+
+    std::byte* allocate(std::uint64_t bytes) override
+    {
+        select();
+        requireBudget(bytes);
+        if (mOptions.mapped) {
+            mMemory.push_back(pinnedMemory(bytes));
+        } else {
+            void* memory = nullptr;
+            checkMemory(cudaMalloc(&memory, bytes), "cudaMalloc", bytes);
+            mMemory.push_back(static_cast<std::byte*>(memory));
+        }
+        mUsedBytes += bytes;
+        mPeakBytes = std::max(mPeakBytes, mUsedBytes);
+        return mMemory.back();
+    }
+
+    std::byte* allocateStaging(std::uint64_t bytes) override
+    {
+        select();
+        // A mapped block is written where it stays.
+        if (mOptions.mapped) return mMemory.at(mMappedStagings++);
+        mStaging.push_back(pinnedMemory(bytes));
+        return mStaging.back();
+    }
+
+    void releaseAll() override
+    {
+        release();
+        mMappedStagings = 0;
+        mUsedBytes = 0;
+    }
+
+    void upload(int slot, std::byte* device, const std::byte* staging, std::uint64_t bytes) override
+    {
+        if (device == staging) return;
+        run(slot, kUpload, [&](cudaStream_t stream) {
+            VDB_NNS_CUDA_CHECK(cudaMemcpyAsync(device, staging, bytes, cudaMemcpyHostToDevice, stream));
+        });
+    }
+
+    void search(int slot, const BlockSearch& block) override
+    {
+        run(slot, kSearch, [&](cudaStream_t stream) { launchSearchAsync(block, stream); });
+    }
+
+    std::byte* download(int slot, std::byte* staging, std::byte* device, std::uint64_t bytes) override
+    {
+        if (mOptions.mapped) return device;
+        run(slot, kDownload, [&](cudaStream_t stream) {
+            VDB_NNS_CUDA_CHECK(cudaMemcpyAsync(staging, device, bytes, cudaMemcpyDeviceToHost, stream));
+        });
+        return staging;
+    }
+
+    StepTimes wait(int number) override
+    {
+        select();
+        Slot& slot = mSlots.at(static_cast<std::size_t>(number));
+        StepTimes times;
+        double* const seconds[kSteps] = {&times.uploadSeconds, &times.searchSeconds, &times.downloadSeconds};
+        const std::size_t used = std::exchange(slot.used, 0);
+        if (used > 0) VDB_NNS_CUDA_CHECK(cudaEventSynchronize(slot.intervals[used - 1].end));
+        for (std::size_t i = 0; i < used; ++i) {
+            const Interval& interval = slot.intervals[i];
+            float milliseconds = 0;
+            VDB_NNS_CUDA_CHECK(cudaEventElapsedTime(&milliseconds, interval.begin, interval.end));
+            *seconds[interval.step] += 1e-3 * static_cast<double>(milliseconds);
+        }
+        return times;
+    }
+
+    std::uint64_t peakBytes() const override { return mPeakBytes; }
+
+private:
+    struct Interval {
+        cudaEvent_t begin = nullptr, end = nullptr;
+        Step step = kUpload;
+    };
+    struct Slot {
+        cudaStream_t stream = nullptr;
+        std::array<Interval, 4> intervals; // as many steps as are taken between two waits
+        std::size_t used = 0;
+    };
+
+    // Every thread that calls CUDA says for which device.
+    void select() const { VDB_NNS_CUDA_CHECK(cudaSetDevice(mOptions.ordinal)); }
+
+    template <typename Enqueue>
+    void run(int number, Step step, Enqueue&& enqueue)
+    {
+        select();
+        Slot& slot = mSlots.at(static_cast<std::size_t>(number));
+        Interval& interval = slot.intervals.at(slot.used);
+        interval.step = step;
+        VDB_NNS_CUDA_CHECK(cudaEventRecord(interval.begin, slot.stream));
+        enqueue(slot.stream);
+        VDB_NNS_CUDA_CHECK(cudaEventRecord(interval.end, slot.stream));
+        ++slot.used;
+    }
+
+    void requireBudget(std::uint64_t bytes) const
+    {
+        std::uint64_t allowed = mOptions.budgetBytes - mUsedBytes;
+        if (!mOptions.mapped) {
+            std::size_t free = 0, total = 0;
+            VDB_NNS_CUDA_CHECK(cudaMemGetInfo(&free, &total));
+            allowed = std::min<std::uint64_t>(allowed, free - std::min<std::uint64_t>(free, kReserveBytes));
+        }
+        if (bytes <= allowed) return;
+        throw OutOfDeviceMemory(mOptions.name + ": " + std::to_string(bytes) + " bytes do not fit beside " +
+                                std::to_string(mUsedBytes) + " of a budget of " +
+                                std::to_string(mOptions.budgetBytes) + ", " + std::to_string(allowed) +
+                                " of it free");
+    }
+
+    void checkMemory(cudaError_t code, const char* call, std::uint64_t bytes) const
+    {
+        if (code == cudaSuccess) return;
+        cudaGetLastError(); // it is told, so that the next call does not tell it again
+        const std::string what = std::string(call) + " of " + std::to_string(bytes) + " bytes";
+        if (code != cudaErrorMemoryAllocation) checkCall(code, what.c_str(), __FILE__, __LINE__);
+        throw OutOfDeviceMemory(mOptions.name + ": " + what + ": " + cudaGetErrorString(code));
+    }
+
+    std::byte* pinnedMemory(std::uint64_t bytes) const
+    {
+        void* memory = nullptr;
+        checkMemory(
+            cudaHostAlloc(&memory, bytes, mOptions.mapped ? cudaHostAllocMapped : cudaHostAllocDefault),
+            "cudaHostAlloc", bytes);
+        return static_cast<std::byte*>(memory);
+    }
+
+    // Never throws: what fails while things are given back has failed before, and was told.
+    void release()
+    {
+        cudaSetDevice(mOptions.ordinal);
+        for (Slot& slot : mSlots) {
+            if (slot.stream) cudaStreamSynchronize(slot.stream);
+            slot.used = 0;
+        }
+        for (std::byte* memory : mMemory) mOptions.mapped ? cudaFreeHost(memory) : cudaFree(memory);
+        for (std::byte* memory : mStaging) cudaFreeHost(memory);
+        mMemory.clear();
+        mStaging.clear();
+    }
+
+    void close()
+    {
+        release();
+        for (Slot& slot : mSlots) {
+            for (Interval& interval : slot.intervals) {
+                if (interval.begin) cudaEventDestroy(interval.begin);
+                if (interval.end) cudaEventDestroy(interval.end);
+            }
+            if (slot.stream) cudaStreamDestroy(slot.stream);
+        }
+    }
+
+    const OpenOptions mOptions;
+    std::vector<Slot> mSlots;
+    std::vector<std::byte*> mMemory, mStaging;
+    std::size_t mMappedStagings = 0; // handed out
+    std::uint64_t mUsedBytes = 0, mPeakBytes = 0;
+};
+
+} // namespace
+
+std::unique_ptr<BlockDevice> openBlockDevice(const OpenOptions& options)
+{
+    return std::make_unique<CudaDevice>(options);
+}
+
+// The runtime is linked statically and opens the driver at its first call, so a program with this inside starts on machines
+// that have none.
+std::vector<Device> listDevices()
+{
+    int count = 0;
+    VDB_NNS_CUDA_CHECK(cudaGetDeviceCount(&count));
+    std::vector<Device> devices;
+    for (int ordinal = 0; ordinal < count; ++ordinal) {
+        cudaDeviceProp properties;
+        VDB_NNS_CUDA_CHECK(cudaGetDeviceProperties(&properties, ordinal));
+        devices.push_back({ordinal, properties.name, properties.totalGlobalMem, properties.major,
+                           properties.minor, properties.multiProcessorCount});
+    }
+    return devices;
+}
+
+std::uint64_t freeBytes(int ordinal)
+{
+    VDB_NNS_CUDA_CHECK(cudaSetDevice(ordinal));
+    std::size_t free = 0, total = 0;
+    VDB_NNS_CUDA_CHECK(cudaMemGetInfo(&free, &total));
+    return free - std::min<std::uint64_t>(free, kReserveBytes);
+}
+
+} // namespace vdb_nns::cuda

@@ -1,0 +1,120 @@
+// What happens when a CUDA call fails: memory that is refused makes blocks smaller and in the end leaves them to the CPU; any
+// other failure is a DeviceError that names the call, or leaves the device's blocks to the CPU. Nothing leaks either way.
+#include "unit/workload_cases.h"
+#include "vdb_nns/error.h"
+#include "vdb_nns/executor.h"
+
+#include <cuda_runtime_api.h>
+#include <gtest/gtest.h>
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace vdb_nns::testing {
+
+namespace {
+
+constexpr std::uint64_t kDeviceBytes = std::uint64_t(1) << 30;
+
+const EstimatedGrid& problem()
+{
+    static const SceneGrid kScene("block", 16000);
+    static const EstimatedGrid kProblem(kScene.grid);
+    return kProblem;
+}
+
+struct Outcome {
+    ScheduleRun report;
+    std::uint64_t checksum = 0;
+};
+
+Outcome searchWith(DeviceFailure onFailure, std::uint64_t divisor, const char* failing = nullptr,
+                   int after = 0, cudaError_t code = cudaErrorLaunchFailure,
+                   std::uint64_t deviceBytes = kDeviceBytes)
+{
+    const EstimatedGrid& own = problem();
+    simt::resetMachine({deviceBytes}, 7);
+    std::vector<DeviceLimits> devices = cudaDevices();
+    devices[0].memoryBytes = own.need(Encoding::kMask) / divisor;
+    RunOptions run;
+    run.onFailure = onFailure;
+    run.schedule.useCpu = false;
+    run.schedule.boundary = BoundaryMode::kHalo;
+    const WorkloadTree one = own.tree(Encoding::kMask, ~0ull);
+    const std::uint64_t bytes =
+        nodeBytesFor(own.grid, own.estimate, one.options.model, devices, run.schedule);
+    const Schedule schedule = makeSchedule(own.grid, own.tree(Encoding::kMask, bytes), devices, run.schedule);
+    if (failing) simt::fail(failing, after, code);
+    Outcome outcome;
+    outcome.checksum = SearchEngine().search(own.grid, schedule, devices, run, outcome.report).checksum();
+    EXPECT_EQ(simt::liveAllocations(), 0u);
+    return outcome;
+}
+
+std::uint64_t trueChecksum()
+{
+    return SearchEngine().search(problem().grid, {}).checksum();
+}
+
+TEST(CudaFailures, NoneGivesTheLists)
+{
+    EXPECT_EQ(searchWith(DeviceFailure::kStop, 1).checksum, trueChecksum());
+    EXPECT_EQ(searchWith(DeviceFailure::kStop, 4).checksum, trueChecksum());
+}
+
+TEST(CudaFailures, MemoryThatIsRefusedHalvesBlocks)
+{
+    for (const char* call : {"cudaMalloc", "cudaHostAlloc"}) {
+        const Outcome outcome = searchWith(DeviceFailure::kStop, 4, call, 1, cudaErrorMemoryAllocation);
+        EXPECT_EQ(outcome.report.halvings, 1u) << call;
+        EXPECT_EQ(outcome.checksum, trueChecksum()) << call;
+    }
+}
+
+TEST(CudaFailures, ADeviceWithLessFreeMemoryThanAskedForHalvesBlocks)
+{
+    // 64 MiB are left to the driver.
+    const std::uint64_t tight = (std::uint64_t(64) << 20) + problem().need(Encoding::kMask) / 3;
+    const Outcome outcome = searchWith(DeviceFailure::kStop, 1, nullptr, 0, cudaSuccess, tight);
+    EXPECT_GT(outcome.report.halvings, 0u);
+    EXPECT_GT(outcome.report.devices[0].particles, 0u);
+    EXPECT_LE(outcome.report.devices[0].peakBytes, problem().need(Encoding::kMask) / 3);
+    EXPECT_EQ(outcome.checksum, trueChecksum());
+}
+
+TEST(CudaFailures, AFailureStopsAndNamesItsCall)
+{
+    for (const char* call : {"cudaMemcpyAsync", "cudaEventRecord", "cudaEventSynchronize", "cudaMemsetAsync",
+                             "cudaStreamCreateWithFlags", "cudaMalloc", "launch"}) {
+        SCOPED_TRACE(call);
+        try {
+            searchWith(DeviceFailure::kStop, 4, call, std::string(call) == "cudaEventSynchronize" ? 5 : 2);
+            ADD_FAILURE() << "nothing was thrown";
+        } catch (const DeviceError& error) {
+            const std::string what = error.what();
+            // Whichever comes third of the launches of several slots; each is named by the label of its kernel.
+            EXPECT_NE(what.find(std::string(call) == "launch" ? "launcher.cuh" : call), std::string::npos)
+                << what;
+            EXPECT_NE(what.find("719"), std::string::npos) << what;
+        }
+        EXPECT_EQ(simt::liveAllocations(), 0u);
+    }
+}
+
+TEST(CudaFailures, TheCpuTakesOverWhereItMay)
+{
+    for (const char* call : {"cudaMemcpyAsync", "cudaEventSynchronize", "launch", "cudaMalloc"}) {
+        SCOPED_TRACE(call);
+        const Outcome outcome = searchWith(DeviceFailure::kUseCpu, 4, call, 2);
+        EXPECT_FALSE(outcome.report.devices[0].failure.empty());
+        EXPECT_GT(outcome.report.cpuParticles, 0u);
+        EXPECT_EQ(outcome.report.cpuParticles + outcome.report.devices[0].particles,
+                  problem().grid.particleCount());
+        EXPECT_EQ(outcome.checksum, trueChecksum());
+    }
+}
+
+} // namespace
+
+} // namespace vdb_nns::testing
