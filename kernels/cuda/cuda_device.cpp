@@ -223,7 +223,10 @@ std::unique_ptr<BlockDevice> openBlockDevice(const OpenOptions& options)
 // that have none.
 std::vector<Device> listDevices()
 {
-    int count = 0;
+    int count = 0, driver = 0;
+    if (cudaDriverGetVersion(&driver) == cudaSuccess && driver == 0) {
+        throw DeviceError("CUDA: there is no NVIDIA driver on this machine");
+    }
     VDB_NNS_CUDA_CHECK(cudaGetDeviceCount(&count));
     std::vector<Device> devices;
     for (int ordinal = 0; ordinal < count; ++ordinal) {

@@ -510,7 +510,9 @@ void ScheduleRunner::runFlight(Executor& executor, Flight& flight)
         stage(flight.block);
         requireRoom(flight.block, executor.slotBytes);
         const BlockPart& part = flight.block.part;
-        const bool isKnown = mEncoding != Encoding::kIndex && part.without.empty();
+        const bool isKnown =
+            mEncoding == Encoding::kNone ||
+            (mEncoding == Encoding::kMask && mSchedule.model.masksAreExact && part.without.empty());
         flight.flown = flyBlock(*executor.device, slot, mRun.grid, part,
                                 {mRun.context.bounds, mEncoding, isKnown ? flight.block.item.bytes.down : 0});
         const FlownBlock& flown = flight.flown;
