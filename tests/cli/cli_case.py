@@ -68,9 +68,9 @@ class CliCase(unittest.TestCase):
         self.assertNotIn("error", done.err)
         return done
 
-    def report(self, *args):
+    def report(self, *args, **options):
         """The JSON report of a command: all of its stdout."""
-        return json.loads(self.succeeds(*args, "--json", "-").out)
+        return json.loads(self.succeeds(*args, "--json", "-", **options).out)
 
     def fails(self, code, *args, says=(), **options):
         """Exit code, one clear error on stderr, nothing on stdout, and not a file more or less than before."""
