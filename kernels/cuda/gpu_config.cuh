@@ -18,9 +18,10 @@ constexpr unsigned kWarps = 4;
 // take 64 registers more and halve the warps of a multiprocessor.
 constexpr int kWords = 8;
 
-// Blocks of threads that a multiprocessor must be able to hold: what keeps the compiler below 85 registers a thread, so
-// that 24 warps hide each other's loads.
-constexpr unsigned kSearchBlocks = 5;
+// Blocks of threads that a multiprocessor must be able to hold, which bounds the registers of a thread: to 102 with 5, so
+// that 20 warps hide each other's loads. Rows of numbers need the candidates' numbers beside their positions: with 102
+// registers some are spilled, so those have 128.
+constexpr unsigned kSearchBlocks = 5, kNumberBlocks = 4;
 
 // Threads of a block that adds up rows, each kTileGroups / kScanThreads of a tile.
 constexpr unsigned kScanThreads = 256;

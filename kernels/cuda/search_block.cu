@@ -19,6 +19,8 @@ namespace vdb_nns::cuda {
 
 namespace {
 
+constexpr float kHalfLeaf = 3.5f; // from the centre of a leaf's lowest cell to the leaf's own
+
 // What a pass over the groups makes.
 enum class Pass {
     kCount,     // counts of neighbors
@@ -42,11 +44,14 @@ struct GroupSearch {
     std::uint64_t roomBytes; // of the result, without the scratch
 };
 
-// The candidates of a cell: run k has those from first[k] on, at slots that are `offset` more.
+// The candidates of a cell: run k has those from first[k] on, at slots that are `offset` more; x, y, z is what brings their
+// coordinates, about their leaf's centre, to the cell's centre. Multiples of 1/2, so the sum is the only rounding.
 struct RunTable {
     std::uint32_t first[kMostPieces];
     std::uint32_t offset[kMostPieces];
-    std::uint32_t leaf[kMostPieces]; // steps to the leaf, plus one, in fields of 2 bits
+    float x[kMostPieces], y[kMostPieces], z[kMostPieces];
+    std::uint32_t begins
+        [kWords]; // of the candidates that are gathered at a time: a bit for each with which a run begins
 };
 
 struct Candidates {
@@ -180,8 +185,9 @@ __device__ Candidates readRuns(const BlockImage& image, const CellCursor& cursor
             const std::uint32_t at = found.runs + static_cast<std::uint32_t>(__popc(some & lanesBelow()));
             table.first[at] = first;
             table.offset[at] = offset;
-            table.leaf[at] = static_cast<std::uint32_t>((piece.leafX + 1) | (piece.leafY + 1) << 2 |
-                                                        (piece.leafZ + 1) << 4);
+            table.x[at] = static_cast<float>(8 * piece.leafX - x) + kHalfLeaf;
+            table.y[at] = static_cast<float>(8 * piece.leafY - y) + kHalfLeaf;
+            table.z[at] = static_cast<float>(8 * piece.leafZ - z) + kHalfLeaf;
         }
         found.count += fromLane(upTo, kWarpSize - 1);
         found.runs += static_cast<std::uint32_t>(__popc(some));
@@ -190,60 +196,124 @@ __device__ Candidates readRuns(const BlockImage& image, const CellCursor& cursor
     return found;
 }
 
-// The run that a candidate is in.
-__device__ std::uint32_t runOf(const RunTable& table, std::uint32_t runs, std::uint32_t candidate)
-{
-    std::uint32_t run = 0;
-    for (std::uint32_t step = 1u << (31 - __clz(static_cast<int>(runs))); step > 0; step /= 2) {
-        if (run + step < runs && table.first[run + step] <= candidate) run += step;
-    }
-    return run;
-}
-
 // kWords * 32 candidates of a cell, one of each word to a lane.
 struct Gathered {
     float x[kWords], y[kWords], z[kWords], w[kWords];
     std::uint32_t number[kWords]; // where rows of numbers are made
 };
 
-template <bool kWithNumbers>
-__device__ void gather(const BlockView& block, const RunTable& table, const Candidates& candidates,
-                       std::uint32_t begin, float centerX, float centerY, float centerZ, Gathered& out)
+// Marks where runs begin among the candidates [begin, begin + kWords * 32). Returns how many runs begin before those.
+__device__ std::uint32_t markRuns(const Candidates& candidates, std::uint32_t begin, RunTable& table)
 {
+    __syncwarp(); // the last marks are read
+    if (lane() < kWords) table.begins[lane()] = 0;
+    __syncwarp();
+    std::uint32_t before = 0;
+    for (std::uint32_t base = 0; base < candidates.runs; base += kWarpSize) {
+        const std::uint32_t run = base + lane();
+        const bool isRun = run < candidates.runs;
+        const std::uint32_t first = isRun ? table.first[run] : 0;
+        before += static_cast<std::uint32_t>(__popc(__ballot_sync(kAllLanes, isRun && first < begin)));
+        if (isRun && first >= begin && first - begin < kWords * kWarpSize) {
+            atomicOr(&table.begins[(first - begin) / 32], 1u << (first - begin) % 32);
+        }
+    }
+    __syncwarp();
+    return before;
+}
+
+// The run of this lane's candidate of a word; `before`: how many begin before the word.
+__device__ std::uint32_t runOf(std::uint32_t begins, std::uint32_t before)
+{
+    return before + static_cast<std::uint32_t>(__popc(begins & (lanesBelow() << 1 | 1))) - 1;
+}
+
+template <bool kWithNumbers>
+__device__ void gather(const BlockView& block, RunTable& table, const Candidates& candidates,
+                       std::uint32_t begin, Gathered& out)
+{
+    std::uint32_t before = markRuns(candidates, begin, table);
 #pragma unroll
     for (int k = 0; k < kWords; ++k) {
         const std::uint32_t candidate = begin + static_cast<std::uint32_t>(k) * kWarpSize + lane();
+        const std::uint32_t begins = table.begins[k], run = runOf(begins, before);
+        before += static_cast<std::uint32_t>(__popc(begins));
         out.x[k] = out.y[k] = out.z[k] = 0;
         out.w[k] = INFINITY;
         if (candidate >= candidates.count) continue;
-        const std::uint32_t run = runOf(table, candidates.runs, candidate);
-        const std::uint32_t slot = candidate + table.offset[run], leaf = table.leaf[run];
-        const auto leafStep = [&](int axis) {
-            return 8.0f * static_cast<float>(static_cast<int>(leaf >> 2 * axis & 3) - 1);
-        };
-        out.x[k] = block.x[slot] + leafStep(0) - centerX;
-        out.y[k] = block.y[slot] + leafStep(1) - centerY;
-        out.z[k] = block.z[slot] + leafStep(2) - centerZ;
+        const std::uint32_t slot = candidate + table.offset[run];
+        out.x[k] = block.x[slot] + table.x[run];
+        out.y[k] = block.y[slot] + table.y[run];
+        out.z[k] = block.z[slot] + table.z[run];
         out.w[k] = squaredNorm(out.x[k], out.y[k], out.z[k]);
         if (kWithNumbers) out.number[k] = block.number[slot];
     }
 }
 
-// Lists the candidates of a query that are in the band. Rare: once in some hundred queries.
-__device__ void listUndecided(const GroupSearch& search, const RunTable& table, const Candidates& candidates,
-                              const Gathered& gathered, const QueryTerms& query, std::uint32_t begin,
-                              std::uint32_t queryNumber, std::uint64_t rowBit)
+// Scores of a query against the first kCount words. Returns the least: whether any candidate is in the band.
+template <int kCount>
+__device__ std::int32_t scoreWords(const QueryTerms& query, const Gathered& gathered,
+                                   std::int32_t (&bits)[kWords])
 {
+    std::int32_t least = INT_MAX;
+#pragma unroll
+    for (int k = 0; k < kCount; ++k) {
+        bits[k] = scoreBits(query, gathered.x[k], gathered.y[k], gathered.z[k], gathered.w[k]);
+        least = bits[k] < least ? bits[k] : least;
+    }
+    return least;
+}
+
+// The votes on the first kCount words, all of them in all lanes.
+template <int kCount>
+__device__ void voteWords(const std::int32_t (&bits)[kWords], std::uint32_t (&hits)[kWords])
+{
+#pragma unroll
+    for (int k = 0; k < kCount; ++k) hits[k] = __ballot_sync(kAllLanes, bits[k] < 0);
+}
+
+// Of kCount words, a power of two, that which has the number of the lane, or of the lane modulo kCount.
+template <int kCount>
+__device__ std::uint32_t wordOfLane(const std::uint32_t (&words)[kWords])
+{
+    std::uint32_t chosen[kWords];
+#pragma unroll
+    for (int k = 0; k < kCount; ++k) chosen[k] = words[k];
+#pragma unroll
+    for (int step = 1; step < kCount; step *= 2) {
+#pragma unroll
+        for (int k = 0; k < kCount; k += 2 * step) {
+            chosen[k] = lane() & static_cast<unsigned>(step) ? chosen[k + step] : chosen[k];
+        }
+    }
+    return chosen[0];
+}
+
+// Lists the candidates of a query that are in the band, of those from `begin` on that are gathered at a time. Rare: once in
+// some hundred queries. So it is kept apart, and reads them again.
+__device__ __noinline__ void listUndecided(const GroupSearch& search, const RunTable& table,
+                                           Candidates candidates, QueryTerms query, std::uint32_t begin,
+                                           std::uint32_t queryNumber, std::uint64_t rowBit)
+{
+    const BlockView& block = search.image.block;
     const std::uint64_t rowBytes = search.head->rowBytes, listBegin = search.layout.undecided(rowBytes);
     auto* const list =
         reinterpret_cast<UndecidedPair*>(reinterpret_cast<std::byte*>(search.head) + listBegin);
     const std::uint64_t most =
         listBegin < search.roomBytes ? (search.roomBytes - listBegin) / sizeof(UndecidedPair) : 0;
-#pragma unroll
-    for (int k = 0; k < kWords; ++k) {
-        const std::int32_t bits =
-            scoreBits(query, gathered.x[k], gathered.y[k], gathered.z[k], gathered.w[k]);
-        const unsigned band = __ballot_sync(kAllLanes, bits <= search.bounds.bandTop);
+    for (std::uint32_t word = 0; word < kWords; ++word) {
+        const std::uint32_t candidate = begin + word * kWarpSize + lane();
+        std::uint32_t slot = 0;
+        bool isInBand = false;
+        if (candidate < candidates.count) {
+            std::uint32_t run = candidates.runs - 1;
+            while (table.first[run] > candidate) --run;
+            slot = candidate + table.offset[run];
+            const float x = block.x[slot] + table.x[run], y = block.y[slot] + table.y[run],
+                        z = block.z[slot] + table.z[run];
+            isInBand = scoreBits(query, x, y, z, squaredNorm(x, y, z)) <= search.bounds.bandTop;
+        }
+        const unsigned band = __ballot_sync(kAllLanes, isInBand);
         if (!band) continue;
         unsigned long long at = 0;
         if (lane() == 0) {
@@ -251,10 +321,7 @@ __device__ void listUndecided(const GroupSearch& search, const RunTable& table, 
                            static_cast<unsigned long long>(__popc(band)));
         }
         at = fromLane(at, 0) + static_cast<unsigned long long>(__popc(band & lanesBelow()));
-        if (!(band >> lane() & 1) || at >= most) continue;
-        const std::uint32_t candidate = begin + static_cast<std::uint32_t>(k) * kWarpSize + lane();
-        const std::uint32_t slot = candidate + table.offset[runOf(table, candidates.runs, candidate)];
-        list[at] = {queryNumber, search.image.block.number[slot], rowBit + candidate};
+        if (isInBand && at < most) list[at] = {queryNumber, block.number[slot], rowBit + candidate};
     }
 }
 
@@ -264,69 +331,80 @@ struct OwnQuery {
     std::uint64_t next = 0;
 };
 
-// The queries [begin, end) of a cell against its candidates. `first`: slot of the first query of the group. `firstWord`: where
-// the rows of these queries begin, in words, for masks.
-template <Pass kPass>
-__device__ void searchCell(const GroupSearch& search, const RunTable& table, const Candidates& candidates,
-                           const QueryTerms& ownTerms, std::uint32_t first, std::uint32_t begin,
-                           std::uint32_t end, float centerX, float centerY, float centerZ,
-                           std::uint64_t firstWord, bool hasRoom, OwnQuery& own)
+// Some queries of a cell, and what they share.
+struct CellQueries {
+    std::uint32_t first, begin, end; // slots: of the group, and of those in the cell
+    std::uint64_t firstWord;         // where their mask rows begin
+    bool hasRoom;                    // for mask rows
+};
+
+// The queries of a cell against `words` words of gathered candidates, which begin with candidate `chunk`. kCount: how many
+// words are tested, those that have no candidates included.
+template <Pass kPass, int kCount>
+__device__ void searchGathered(const GroupSearch& search, const RunTable& table, const Candidates& candidates,
+                               const Gathered& gathered, const QueryTerms& ownTerms,
+                               const CellQueries& queries, std::uint32_t chunk, OwnQuery& own)
 {
-    constexpr std::uint32_t kChunk = kWords * kWarpSize;
     constexpr bool kNumbers = kPass == Pass::kNumbers, kMasks = kPass == Pass::kMasks;
     constexpr bool kListsUndecided = kPass != Pass::kCountRows;
-    const std::uint32_t rowWords = (candidates.count + 31) / 32;
-    for (std::uint32_t chunk = 0; chunk < candidates.count; chunk += kChunk) {
-        Gathered gathered;
-        gather<kNumbers>(search.image.block, table, candidates, chunk, centerX, centerY, centerZ, gathered);
-        const std::uint32_t left = candidates.count - chunk;
-        const int words = static_cast<int>(left < kChunk ? (left + 31) / 32 : kWords);
-        for (std::uint32_t slot = begin; slot < end; ++slot) {
-            const unsigned owner = slot - first;
-            const QueryTerms query{fromLane(ownTerms.ax, owner), fromLane(ownTerms.ay, owner),
-                                   fromLane(ownTerms.az, owner), fromLane(ownTerms.k, owner)};
-            const std::uint32_t self =
-                slot - candidates.ownOffset - chunk; // huge where it is of another chunk
-            std::int32_t least = INT_MAX;
-            std::uint32_t word = 0; // of lane k: word k
-            std::uint64_t next = kNumbers ? fromLane(own.next, owner) : 0;
+    const std::uint32_t rowWords = (candidates.count + 31) / 32, wordsLeft = rowWords - chunk / 32;
+    std::uint64_t row = queries.firstWord + chunk / 32;
+    std::uint32_t self = queries.begin - candidates.ownOffset - chunk; // huge where it is of another chunk
+    for (std::uint32_t slot = queries.begin; slot < queries.end; ++slot, ++self, row += rowWords) {
+        const unsigned owner = slot - queries.first;
+        const QueryTerms query{fromLane(ownTerms.ax, owner), fromLane(ownTerms.ay, owner),
+                               fromLane(ownTerms.az, owner), fromLane(ownTerms.k, owner)};
+        std::int32_t bits[kWords];
+        std::uint32_t hits[kWords];
+        const std::int32_t least = scoreWords<kCount>(query, gathered, bits);
+        voteWords<kCount>(bits, hits);
+        if (kNumbers) {
+            std::uint64_t next = fromLane(own.next, owner);
 #pragma unroll
-            for (int k = 0; k < kWords; ++k) {
-                if (k >= words) break;
-                const std::int32_t bits =
-                    scoreBits(query, gathered.x[k], gathered.y[k], gathered.z[k], gathered.w[k]);
-                if (kListsUndecided) least = bits < least ? bits : least;
-                unsigned hits = __ballot_sync(kAllLanes, bits < 0);
-                if (kNumbers) {
-                    if (self / 32 == static_cast<std::uint32_t>(k)) hits &= ~(1u << self % 32);
-                    if (hits >> lane() & 1) {
-                        search.rows[next + static_cast<unsigned>(__popc(hits & lanesBelow()))] =
-                            gathered.number[k];
-                    }
-                    next += static_cast<unsigned>(__popc(hits));
-                } else if (lane() == static_cast<unsigned>(k)) {
-                    word = hits;
+            for (int k = 0; k < kCount; ++k) {
+                if (self / 32 == static_cast<std::uint32_t>(k)) hits[k] &= ~(1u << self % 32);
+                if (hits[k] >> lane() & 1) {
+                    search.rows[next + static_cast<unsigned>(__popc(hits[k] & lanesBelow()))] =
+                        gathered.number[k];
                 }
+                next += static_cast<unsigned>(__popc(hits[k]));
             }
-            if (kNumbers) {
-                if (lane() == owner) own.next = next;
-            } else {
-                if (lane() == self / 32) word &= ~(1u << self % 32);
-                int count = __popc(word);
-                for (int step = 1; step < kWords; step *= 2) {
-                    count += __shfl_xor_sync(kAllLanes, count, step);
-                }
-                count = fromLane(count, 0);
-                if (lane() == owner) own.count += static_cast<std::uint32_t>(count);
+            if (lane() == owner) own.next = next;
+        } else {
+            std::uint32_t word = wordOfLane<kCount>(hits);
+            if (lane() % kCount == self / 32) word &= ~(1u << self % 32);
+            int count = __popc(word);
+#pragma unroll
+            for (int step = 1; step < kCount; step *= 2) count += __shfl_xor_sync(kAllLanes, count, step);
+            if (lane() == owner) own.count += static_cast<std::uint32_t>(count);
+            if (kMasks && queries.hasRoom && lane() < kCount && lane() < wordsLeft) {
+                search.rows[row + lane()] = word;
             }
-            const std::uint64_t row = firstWord + std::uint64_t(slot - begin) * rowWords;
-            if (kMasks && hasRoom && static_cast<int>(lane()) < words) {
-                search.rows[row + chunk / 32 + lane()] = word;
-            }
-            if (kListsUndecided && __any_sync(kAllLanes, least <= search.bounds.bandTop)) {
-                listUndecided(search, table, candidates, gathered, query, chunk,
-                              slot - search.image.firstQuery, row * 32);
-            }
+        }
+        if (kListsUndecided && __any_sync(kAllLanes, least <= search.bounds.bandTop)) {
+            listUndecided(search, table, candidates, query, chunk, slot - search.image.firstQuery,
+                          (row - chunk / 32) * 32);
+        }
+    }
+}
+
+// The queries of a cell against all its candidates.
+template <Pass kPass>
+__device__ void searchCell(const GroupSearch& search, RunTable& table, const Candidates& candidates,
+                           const QueryTerms& ownTerms, const CellQueries& queries, OwnQuery& own)
+{
+    for (std::uint32_t chunk = 0; chunk < candidates.count; chunk += kWords * kWarpSize) {
+        Gathered gathered;
+        gather<kPass == Pass::kNumbers>(search.image.block, table, candidates, chunk, gathered);
+        const std::uint32_t left = candidates.count - chunk;
+        if (left > kWords / 2 * kWarpSize) {
+            searchGathered<kPass, kWords>(search, table, candidates, gathered, ownTerms, queries, chunk, own);
+        } else if (left > kWords / 4 * kWarpSize) {
+            searchGathered<kPass, kWords / 2>(search, table, candidates, gathered, ownTerms, queries, chunk,
+                                              own);
+        } else {
+            searchGathered<kPass, kWords / 4>(search, table, candidates, gathered, ownTerms, queries, chunk,
+                                              own);
         }
     }
 }
@@ -370,12 +448,12 @@ __device__ void searchGroup(const GroupSearch& search, std::uint64_t group, RunT
         if (!wanted || (wanted[cursor.x] & cursor.rest & (~cursor.rest + 1))) {
             const Candidates candidates = readRuns(image, cursor, cellBegin, table);
             if (kTests) {
-                const float centerX = static_cast<float>(cursor.x) - 3.5f,
-                            centerY = static_cast<float>(cursor.y()) - 3.5f,
-                            centerZ = static_cast<float>(cursor.z()) - 3.5f;
-                const QueryTerms terms = queryTerms(search.bounds, x - centerX, y - centerY, z - centerZ);
-                searchCell<kPass>(search, table, candidates, terms, first, slot, stop, centerX, centerY,
-                                  centerZ, entries, hasRoom, own);
+                const QueryTerms terms =
+                    queryTerms(search.bounds, x + (kHalfLeaf - static_cast<float>(cursor.x)),
+                               y + (kHalfLeaf - static_cast<float>(cursor.y())),
+                               z + (kHalfLeaf - static_cast<float>(cursor.z())));
+                searchCell<kPass>(search, table, candidates, terms, {first, slot, stop, entries, hasRoom},
+                                  own);
                 __syncwarp(); // the table is read
             }
             if (kMasks || !kTests) entries += std::uint64_t(stop - slot) * ((candidates.count + 31) / 32);
@@ -390,8 +468,8 @@ __device__ void searchGroup(const GroupSearch& search, std::uint64_t group, RunT
 }
 
 template <Pass kPass>
-__global__ void __launch_bounds__(kWarps* kWarpSize, kSearchBlocks)
-    searchGroupsKernel(const GroupSearch search)
+__global__ void __launch_bounds__(kWarps* kWarpSize, kPass == Pass::kNumbers ? kNumberBlocks : kSearchBlocks)
+    searchGroupsKernel(const __grid_constant__ GroupSearch search)
 {
     __shared__ RunTable tables[kWarps];
     const unsigned warp = threadIdx.x / kWarpSize;

@@ -10,7 +10,8 @@
 //    so per axis |p - true| <= eta = E + 2^-21, and for a query q and a candidate c of one frame, with
 //      D = |p_c - p_q|^2 of the floats as they are,  d the true distance:    |sqrt(D) - d| <= 2 sqrt(3) eta =: delta
 //    m is the centre of the box of the cell's queries, or of the cell itself: then |p_q| <= 1/2 + 2^-20 an axis, as cells
-//    are found from rounded coordinates, and |p_c| <= R + 1/2 + 2^-20: far inside what the sums below take.
+//    are found from rounded coordinates, and |p_c| <= R + 1/2 + 2^-20: far inside what the sums below take. Devices take
+//    x + (8 k - m) at once, which rounds once.
 //
 // 2. Arithmetic. The score of a candidate is s = fl(w_c + K + a.p_c) with w_c = fl(|p_c|^2), a = -2 p_q (exact),
 //    K = fl(w_q - far), far = rho^2 + beta rounded to float. In real arithmetic it would be D - (rho^2 + beta). With
@@ -83,9 +84,20 @@ struct QueryTerms {
     float ax, ay, az, k;
 };
 
+// One rounding or two: the bound holds for both. Never left to the compiler, so that a test that is made twice comes out
+// the same.
+VDB_NNS_HOST_DEVICE static inline float mulAdd(float a, float b, float c)
+{
+#if defined(__CUDA_ARCH__)
+    return fmaf(a, b, c);
+#else
+    return a * b + c;
+#endif
+}
+
 VDB_NNS_HOST_DEVICE static inline float squaredNorm(float x, float y, float z)
 {
-    return z * z + (y * y + x * x);
+    return mulAdd(z, z, mulAdd(y, y, x * x));
 }
 
 VDB_NNS_HOST_DEVICE static inline QueryTerms queryTerms(const FilterBounds& bounds, float x, float y, float z)
@@ -98,7 +110,7 @@ VDB_NNS_HOST_DEVICE static inline QueryTerms queryTerms(const FilterBounds& boun
 VDB_NNS_HOST_DEVICE static inline std::int32_t scoreBits(const QueryTerms& query, float x, float y, float z,
                                                          float w)
 {
-    return floatBits(z * query.az + (y * query.ay + (x * query.ax + (w + query.k))));
+    return floatBits(mulAdd(z, query.az, mulAdd(y, query.ay, mulAdd(x, query.ax, w + query.k))));
 }
 
 /// Squared distance from the centre of a cell's queries past which nothing is their neighbor.

@@ -42,7 +42,9 @@ VDB_NNS_HOST_DEVICE static inline SlotRange columnRange(const BlockView& block, 
     const std::uint64_t bits = word >> low & ((std::uint64_t(2) << (z1 - z0)) - 1);
     if (!bits) return {0, 0};
     std::uint32_t cell = leaf.firstCell;
-    for (int w = 0; w < x; ++w) cell += countBits(leaf.occupancy[w]);
+    for (int w = 0; w < 7; ++w) {
+        if (w < x) cell += countBits(leaf.occupancy[w]);
+    }
     cell += countBits(word & ((std::uint64_t(1) << low) - 1));
     return {block.cellStart[cell], block.cellStart[cell + countBits(bits)]};
 }

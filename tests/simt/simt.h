@@ -38,6 +38,8 @@
 #define __host__
 #define __forceinline__ inline __attribute__((always_inline))
 #define __launch_bounds__(...)
+#define __grid_constant__
+#define __noinline__
 #define __shared__ static
 
 // Stands for `extern __shared__ type name[]`, which no macro can turn into C++: `extern` and `static` exclude
