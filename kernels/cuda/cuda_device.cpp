@@ -49,33 +49,38 @@ public:
     std::byte* allocate(std::uint64_t bytes) override
     {
         select();
-        requireBudget(bytes);
-        if (mOptions.mapped) {
-            mMemory.push_back(pinnedMemory(bytes));
-        } else {
+        const Piece piece = take(mMemory, bytes, mOptions.budgetBytes - mUsedBytes, [&] {
+            requireBudget(bytes);
+            if (mOptions.mapped) return pinnedMemory(bytes);
             void* memory = nullptr;
             checkMemory(cudaMalloc(&memory, bytes), "cudaMalloc", bytes);
-            mMemory.push_back(static_cast<std::byte*>(memory));
-        }
-        mUsedBytes += bytes;
+            return static_cast<std::byte*>(memory);
+        });
+        mUsedBytes += piece.bytes;
         mPeakBytes = std::max(mPeakBytes, mUsedBytes);
-        return mMemory.back();
+        mHandedOut.push_back(piece.memory);
+        return piece.memory;
     }
 
     std::byte* allocateStaging(std::uint64_t bytes) override
     {
         select();
         // A mapped block is written where it stays.
-        if (mOptions.mapped) return mMemory.at(mMappedStagings++);
-        mStaging.push_back(pinnedMemory(bytes));
-        return mStaging.back();
+        if (mOptions.mapped) return mHandedOut.at(mMappedStagings++);
+        return take(mStaging, bytes, ~std::uint64_t(0), [&] { return pinnedMemory(bytes); }).memory;
     }
 
     void releaseAll() override
     {
-        release();
-        mMappedStagings = 0;
-        mUsedBytes = 0;
+        handBack();
+        dropFree(mMemory);
+        dropFree(mStaging);
+    }
+
+    void restart() override
+    {
+        handBack();
+        mPeakBytes = 0;
     }
 
     void upload(int slot, std::byte* device, const std::byte* staging, std::uint64_t bytes) override
@@ -130,6 +135,12 @@ private:
         std::size_t used = 0;
     };
 
+    struct Piece {
+        std::byte* memory;
+        std::uint64_t bytes;
+        bool isTaken;
+    };
+
     // Every thread that calls CUDA says for which device.
     void select() const { VDB_NNS_CUDA_CHECK(cudaSetDevice(mOptions.ordinal)); }
 
@@ -179,23 +190,51 @@ private:
         return static_cast<std::byte*>(memory);
     }
 
-    // Never throws: what fails while things are given back has failed before, and was told.
-    void release()
+    // A free piece that is large enough and not larger than `most`; else a new one, for which all free ones make room.
+    template <typename Make>
+    Piece take(std::vector<Piece>& pieces, std::uint64_t bytes, std::uint64_t most, Make&& make)
+    {
+        const auto fits = [&](const Piece& p) { return !p.isTaken && p.bytes >= bytes && p.bytes <= most; };
+        auto found = std::find_if(pieces.begin(), pieces.end(), fits);
+        if (found == pieces.end()) {
+            dropFree(pieces);
+            std::byte* const memory = make();
+            found = pieces.insert(pieces.end(), {memory, bytes, false});
+        }
+        found->isTaken = true;
+        return *found;
+    }
+
+    // Nothing here throws: what fails while memory is given back has failed before, and was told.
+    void handBack()
     {
         cudaSetDevice(mOptions.ordinal);
         for (Slot& slot : mSlots) {
             if (slot.stream) cudaStreamSynchronize(slot.stream);
             slot.used = 0;
         }
-        for (std::byte* memory : mMemory) mOptions.mapped ? cudaFreeHost(memory) : cudaFree(memory);
-        for (std::byte* memory : mStaging) cudaFreeHost(memory);
-        mMemory.clear();
-        mStaging.clear();
+        for (std::vector<Piece>* pieces : {&mMemory, &mStaging}) {
+            for (Piece& piece : *pieces) piece.isTaken = false;
+        }
+        mHandedOut.clear();
+        mMappedStagings = 0;
+        mUsedBytes = 0;
+    }
+
+    void dropFree(std::vector<Piece>& pieces)
+    {
+        const bool onHost = mOptions.mapped || &pieces == &mStaging;
+        const auto taken =
+            std::stable_partition(pieces.begin(), pieces.end(), [](const Piece& p) { return p.isTaken; });
+        for (auto piece = taken; piece != pieces.end(); ++piece) {
+            onHost ? cudaFreeHost(piece->memory) : cudaFree(piece->memory);
+        }
+        pieces.erase(taken, pieces.end());
     }
 
     void close()
     {
-        release();
+        releaseAll();
         for (Slot& slot : mSlots) {
             for (Interval& interval : slot.intervals) {
                 if (interval.begin) cudaEventDestroy(interval.begin);
@@ -207,8 +246,9 @@ private:
 
     const OpenOptions mOptions;
     std::vector<Slot> mSlots;
-    std::vector<std::byte*> mMemory, mStaging;
-    std::size_t mMappedStagings = 0; // handed out
+    std::vector<Piece> mMemory, mStaging;
+    std::vector<std::byte*> mHandedOut; // of the memory, in the order in which it was asked for
+    std::size_t mMappedStagings = 0;    // handed out
     std::uint64_t mUsedBytes = 0, mPeakBytes = 0;
 };
 

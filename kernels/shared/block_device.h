@@ -50,6 +50,8 @@ public:
     virtual std::byte* allocate(std::uint64_t bytes) = 0;
     virtual std::byte* allocateStaging(std::uint64_t bytes) = 0;
     virtual void releaseAll() = 0;
+    // A new run begins: all memory has been given back, and may be handed out again.
+    virtual void restart() { releaseAll(); }
 
     virtual void upload(int slot, std::byte* device, const std::byte* staging, std::uint64_t bytes) = 0;
     // A result that finds no room is counted on to its true size, in its ResultHead and its counts; its rows are unusable.
