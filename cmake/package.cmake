@@ -1,6 +1,6 @@
 # `cpack` makes vdb_nns-VERSION-linux-x86_64.tar.gz: the program with all libraries that it needs but the C library, for
 # machines that have none of them. All of it is the component `portable`, which `cmake --install` leaves out unless asked.
-#   bin/vdb_nns   lib/vdb_nns/*.so*   LICENSE README.md INSTALL.txt   share/doc/vdb_nns/licenses/*
+#   bin/vdb_nns   bin/gpu_bench.sh   lib/vdb_nns/*.so*   LICENSE README.md INSTALL.txt   share/doc/vdb_nns/licenses/*
 # What else goes into the package: install(.. COMPONENT portable EXCLUDE_FROM_ALL), to bin/ if it is to be run.
 
 # The same objects, linked once more, as the program of `cmake --install` must go on to use the libraries of the system.
@@ -30,6 +30,7 @@ install(RUNTIME_DEPENDENCY_SET portable_libraries
     PRE_EXCLUDE_REGEXES "^ld-linux" "^lib(c|m|mvec|pthread|dl|rt|util|resolv|anl)\\.so"
     POST_EXCLUDE_REGEXES "/libvdb_nns\\.so"
     LIBRARY DESTINATION lib/vdb_nns ${portable})
+install(PROGRAMS "${PROJECT_SOURCE_DIR}/tools/gpu_bench.sh" DESTINATION bin ${portable})
 install(CODE "set(library_architecture \"${CMAKE_LIBRARY_ARCHITECTURE}\")" ${portable})
 install(SCRIPT "${PROJECT_SOURCE_DIR}/cmake/package_libraries.cmake" ${portable})
 

@@ -9,8 +9,10 @@
 #include "execute/thread_state.h"
 #include "grid/sparse_grid_data.h"
 #include "lists/neighbor_lists_data.h"
+#include "shared/block_device.h"
 #include "util/cancel.h"
 #include "vdb_nns/error.h"
+#include "vdb_nns/schedule.h"
 #include "vdb_nns/search.h"
 
 #include <cstdint>
@@ -39,12 +41,19 @@ void checkOptions(const SearchOptions& options);
 
 CapacityError listsDoNotFit(Encoding encoding, bool counted, std::uint64_t needed, std::uint64_t allowed);
 
+// A device that was opened for a run, with the memory that it took.
+struct OpenedDevice {
+    DeviceLimits limits;
+    std::unique_ptr<BlockDevice> device;
+};
+
 struct EngineState {
     GridScratch scratch;
     std::shared_ptr<SparseGridData> grid;
     std::shared_ptr<NeighborListsData> lists;
     ThreadStates states;
     SearchStatistics statistics;
+    std::vector<OpenedDevice> devices; // of the last run on devices; not the simulated ones
 
     void beginStatistics(const SearchOptions& options);
     TaskStatistics sumStatistics();

@@ -1,9 +1,14 @@
 // Jobs on the caller's TBB arena, and a way to wait for some of them that works on others meanwhile. Jobs that sleep most of
 // their time, while a device works, have threads of their own.
+//
+// Threads: the one that makes the queue, in whose arena jobs run, calls addThread(), addTo(), runUntil() and the destructor.
+// add() may be called by any job. A thread outside of the arena must not spawn there: TBB would put the task into an arena of
+// that thread, which nobody may ever serve. So what such a thread adds is spawned by the owner, who is waiting.
 #pragma once
 
 #include <tbb/task_group.h>
 
+#include <algorithm>
 #include <condition_variable>
 #include <cstddef>
 #include <deque>
@@ -22,33 +27,34 @@ public:
     JobQueue(const JobQueue&) = delete;
     JobQueue& operator=(const JobQueue&) = delete;
 
-    // Drops jobs that have not begun, and waits for those that have.
+    // Drops jobs that have not begun, also those that running jobs still add, and waits for those that have.
     ~JobQueue()
     {
         {
             const std::lock_guard<std::mutex> lock(mMutex);
-            mJobs.clear();
-            for (Sleeper& sleeper : mSleepers) sleeper.jobs.clear();
             mEnding = true;
+            dropJobs();
             mChanged.notify_all();
         }
-        mGroup.wait();
         for (Sleeper& sleeper : mSleepers) sleeper.thread.join();
+        mGroup.wait();
     }
 
-    // Jobs may add jobs. Thread-safe.
+    // Jobs may add jobs.
     void add(std::function<void()> job)
     {
         {
             const std::lock_guard<std::mutex> lock(mMutex);
-            if (mError) return;
+            if (mError || mEnding) return;
             mJobs.push_back(std::move(job));
             ++mOpen;
+            if (isSleeper()) {
+                ++mUnspawned;
+                mChanged.notify_all();
+                return;
+            }
         }
-        mGroup.run([this] {
-            std::function<void()> next;
-            if (take(next)) run(next);
-        });
+        spawn();
     }
 
     // Starts a thread, which runs the jobs of addTo() one after the other. Returns its number.
@@ -56,14 +62,19 @@ public:
     {
         const std::lock_guard<std::mutex> lock(mMutex);
         Sleeper& sleeper = mSleepers.emplace_back();
-        sleeper.thread = std::thread([this, &sleeper] { serve(sleeper); });
+        try {
+            sleeper.thread = std::thread([this, &sleeper] { serve(sleeper); });
+        } catch (...) {
+            mSleepers.pop_back(); // nothing to join
+            throw;
+        }
         return mSleepers.size() - 1;
     }
 
     void addTo(std::size_t thread, std::function<void()> job)
     {
         const std::lock_guard<std::mutex> lock(mMutex);
-        if (mError) return;
+        if (mError || mEnding) return;
         mSleepers[thread].jobs.push_back(std::move(job));
         ++mOpen;
         mChanged.notify_all();
@@ -75,14 +86,19 @@ public:
     {
         for (;;) {
             std::function<void()> job;
+            std::size_t unspawned = 0;
             {
                 std::unique_lock<std::mutex> lock(mMutex);
                 while (!mError && !done() && mJobs.empty()) mChanged.wait(lock);
                 if (mError) std::rethrow_exception(mError);
-                if (done()) return;
-                job = std::move(mJobs.front());
-                mJobs.pop_front();
+                unspawned = std::exchange(mUnspawned, 0);
+                if (!done()) {
+                    job = std::move(mJobs.front());
+                    mJobs.pop_front();
+                }
             }
+            for (; unspawned > 0; --unspawned) spawn();
+            if (!job) return;
             run(job);
         }
     }
@@ -113,6 +129,30 @@ private:
         }
     }
 
+    // A task for a worker. It takes whatever there is: jobs of other threads may wait to be spawned.
+    void spawn()
+    {
+        mGroup.run([this] {
+            std::function<void()> next;
+            while (take(next)) run(next);
+        });
+    }
+
+    // The caller is not of the arena. Under the lock.
+    bool isSleeper() const
+    {
+        return std::any_of(mSleepers.begin(), mSleepers.end(), [](const Sleeper& sleeper) {
+            return sleeper.thread.get_id() == std::this_thread::get_id();
+        });
+    }
+
+    // Under the lock.
+    void dropJobs()
+    {
+        mJobs.clear();
+        for (Sleeper& sleeper : mSleepers) sleeper.jobs.clear();
+    }
+
     bool take(std::function<void()>& job)
     {
         const std::lock_guard<std::mutex> lock(mMutex);
@@ -132,10 +172,7 @@ private:
         }
         const std::lock_guard<std::mutex> lock(mMutex);
         if (error && !mError) mError = error;
-        if (mError) {
-            mJobs.clear();
-            for (Sleeper& sleeper : mSleepers) sleeper.jobs.clear();
-        }
+        if (mError) dropJobs();
         --mOpen;
         mChanged.notify_all();
     }
@@ -145,7 +182,8 @@ private:
     std::deque<std::function<void()>> mJobs; // not begun
     std::deque<Sleeper> mSleepers;           // stay where they are
     bool mEnding = false;
-    std::size_t mOpen = 0; // not ended
+    std::size_t mOpen = 0;      // not ended
+    std::size_t mUnspawned = 0; // jobs that no task of the arena was made for
     std::exception_ptr mError;
     tbb::task_group mGroup;
 };

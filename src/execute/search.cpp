@@ -3,23 +3,14 @@
 
 #include "execute/engine_state.h"
 #include "execute/run_schedule.h"
+#include "util/wall_clock.h"
 #include "vdb_nns/error.h"
 
 #include <atomic>
-#include <chrono>
 #include <cmath>
 #include <string>
 
 namespace vdb_nns {
-
-namespace {
-
-double now()
-{
-    return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
-
-} // namespace
 
 SearchEngine::SearchEngine() : mImpl(std::make_unique<Impl>()) {}
 SearchEngine::~SearchEngine() = default;
@@ -37,21 +28,21 @@ SparseGrid SearchEngine::buildGrid(const ParticleView& view, double radius, cons
         throw InvalidInput("radius " + std::to_string(radius) + " is not a positive finite number");
     }
     checkOptions(options);
-    const double start = now();
+    const double start = wallSeconds();
     // The last lists hold the last grid; when nobody else reads them they let go of it.
     if (mImpl->lists && mImpl->lists.use_count() == 1) mImpl->lists->grid = SparseGrid();
     if (!mImpl->grid || mImpl->grid.use_count() > 1) mImpl->grid = std::make_shared<SparseGridData>();
     buildSparseGrid(view, radius, options, mImpl->scratch, *mImpl->grid);
     // Under a bound the memory of the sort is better spent on lists.
     if (options.hostMemoryBytes) mImpl->scratch = GridScratch();
-    mImpl->statistics.gridSeconds = now() - start;
+    mImpl->statistics.gridSeconds = wallSeconds() - start;
     return SparseGrid(mImpl->grid);
 }
 
 NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& options)
 {
     checkOptions(options);
-    const double start = now();
+    const double start = wallSeconds();
     const std::shared_ptr<NeighborListsData> result = mImpl->beginLists(grid, options.encoding);
     const SearchRun run(grid.data(), options);
     mImpl->beginStatistics(options);
@@ -67,7 +58,7 @@ NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& 
     }
     mImpl->finishLists(run, pool, *result);
     mImpl->lists = result;
-    mImpl->statistics.searchSeconds = now() - start;
+    mImpl->statistics.searchSeconds = wallSeconds() - start;
     return NeighborLists(result);
 }
 
@@ -76,9 +67,9 @@ NeighborLists SearchEngine::search(const SparseGrid& grid, const Schedule& sched
                                    ScheduleRun& report)
 {
     checkOptions(options.search);
-    const double start = now();
+    const double start = wallSeconds();
     const NeighborLists lists = runSchedule(*mImpl, grid, schedule, devices, options, report);
-    mImpl->statistics.searchSeconds = now() - start;
+    mImpl->statistics.searchSeconds = wallSeconds() - start;
     return lists;
 }
 
@@ -126,7 +117,7 @@ void visitTasks(EngineState& engine, const SparseGrid& grid, const SearchOptions
                 MakeTaker&& makeTaker)
 {
     checkOptions(options);
-    const double start = now();
+    const double start = wallSeconds();
     const SearchRun run(grid.data(), options);
     engine.beginStatistics(options);
     forEachTask(
@@ -138,7 +129,7 @@ void visitTasks(EngineState& engine, const SparseGrid& grid, const SearchOptions
             state.flushRows();
         });
     engine.sumStatistics();
-    engine.statistics.searchSeconds = now() - start;
+    engine.statistics.searchSeconds = wallSeconds() - start;
 }
 
 } // namespace

@@ -29,12 +29,13 @@ void Dispatcher::setItems(std::vector<Item> items)
     mItems.assign(items.begin(), items.end());
 }
 
-bool Dispatcher::fits(std::uint64_t bytes) const
+std::uint64_t Dispatcher::mostBytes() const
 {
+    std::uint64_t most = 0;
     for (std::size_t d = 0; d < mBudgets.size(); ++d) {
-        if (!mRetired[d] && bytes <= mBudgets[d]) return true;
+        if (!mRetired[d]) most = std::max(most, mBudgets[d]);
     }
-    return false;
+    return most;
 }
 
 // Seconds that all devices together need for a block when nothing else holds them up: each by its slowest stage.
@@ -92,7 +93,7 @@ Dispatcher::Turn Dispatcher::giveToDevices(const Item& item, std::size_t free)
     };
     std::size_t device = free;
     for (std::size_t d = 0; d < mClocks.size() && !fitsOn(device); ++d) {
-        if (!mRetired[d]) device = d;
+        if (!mRetired[d] && !mClocks[d].full()) device = d;
     }
     if (!fitsOn(device)) return {item.block, kTooLarge, 0, 0};
     const double start = mClocks[device].begin(item.tests - item.outsideTests, item.bytes.up);
@@ -106,7 +107,7 @@ std::optional<Dispatcher::Turn> Dispatcher::next()
     std::optional<std::size_t> free;
     double devicesDone = 0;
     for (std::size_t d = 0; d < mClocks.size(); ++d) {
-        if (mRetired[d]) continue;
+        if (mRetired[d] || mClocks[d].full()) continue;
         if (!free || mClocks[d].ready() < mClocks[*free].ready()) free = d;
         devicesDone = std::max(devicesDone, mClocks[d].ready());
     }

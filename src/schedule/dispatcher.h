@@ -54,7 +54,7 @@ public:
     // The CPU has done so many of the tests that it was given.
     void observeCpu(double seconds, std::uint64_t testsDone, double testsPerSecond);
 
-    // No device that is in use may be full().
+    // A device that is full() takes none; one that is in use must not be.
     std::optional<Turn> next();
     // Tests that TBB workers have to do besides.
     double addCpuTests(std::uint64_t tests);
@@ -62,8 +62,9 @@ public:
     double finish(int device, std::uint64_t bytesDown);
     bool full(int device) const { return mClocks[static_cast<std::size_t>(device)].full(); }
     // The device takes no more blocks.
+    bool isRetired(int device) const { return mRetired[static_cast<std::size_t>(device)]; }
     void retire(int device) { mRetired[static_cast<std::size_t>(device)] = true; }
-    bool fits(std::uint64_t bytes) const; // a device that is in use
+    std::uint64_t mostBytes() const; // of a block for a device that is in use; 0 without one
 
     double cpuSeconds() const { return mCpuDone; }
     double deviceSeconds(int device) const

@@ -169,7 +169,7 @@ void handOut(const std::vector<DeviceLimits>& devices, const std::vector<std::ui
     for (std::size_t b = 0; b < schedule.blocks.size(); ++b) {
         Block& block = schedule.blocks[b];
         tests += block.work.candidateTests;
-        if (dispatcher.fits(block.bytes.total())) {
+        if (block.bytes.total() <= dispatcher.mostBytes()) {
             items.push_back({b, block.work.candidateTests, boundaryTests(block), block.bytes});
             continue;
         }

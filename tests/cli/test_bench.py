@@ -42,6 +42,93 @@ class Bench(CliCase):
             self.assertEqual(report["results"][0]["scene"], "block.vdb")
         self.assertRegex(self.succeeds("bench", path, "--repeat", "1").out, r"(?m)^ours-count +[0-9]+ ")
 
+    def test_every_method_on_a_simulated_device(self):
+        report = self.report("bench", "--scene", "block", "-n", "20000", "--repeat", "2", "--sample", "100", "--device",
+                             "sim", "--device-memory", "800KB", "--csv", self.path("x.csv"))
+        families = ["in-core", "blocks", "blocks16", "blocks32", "blocks64", "both-cpu", "both-halo", "both-auto"]
+        names = ["ours-index", "ours-mask", "ours-count"] + [f"{f}-{e}" for f in families for e in ("index", "mask")]
+        by_name = {result["method"]: result for result in report["results"]}
+        self.assertEqual(list(by_name), names)
+        self.assertIs(report["all_agree"], True)
+        self.assertIsNone(report["link"])
+        self.assertEqual(len({result["pairs"] for result in by_name.values()}), 1)
+        self.assertEqual(len({r["checksum"] for r in by_name.values()} - {None}), 1)
+        for name, result in by_name.items():
+            self.assertEqual(result["checksum"] is None, name == "ours-count")
+            self.assertEqual(result["accuracy"]["missing"] + result["accuracy"]["extra"], 0)
+            if name.startswith("ours"):
+                self.assertIsNone(result["device"])
+            else:
+                self.check_device(name, result)
+        with open(self.path("x.csv")) as file:
+            for row in csv.DictReader(file):
+                device = by_name[row["method"]]["device"] or {}
+                self.assertEqual(row["device_blocks"], str(device.get("blocks", "")))
+                self.assertEqual(row["device_boundary"], device.get("boundary", ""))
+                self.assertEqual(row["checksum"], by_name[row["method"]]["checksum"] or "")
+
+    def check_device(self, name, result):
+        device = result["device"]
+        self.assertEqual((device["kind"], device["virtual"]), ("sim", True))
+        self.assertEqual(device["in_core"], name.startswith("in-core"))
+        self.assertEqual(device["budget_bytes"], 3 << 30 if device["in_core"] else 800000, name)
+        self.assertLessEqual(device["peak_bytes"], device["budget_bytes"])
+        self.assertEqual(device["device_particles"] + device["cpu_particles"], 20000)
+        self.assertEqual(device["cpu_particles"] > 0, name.startswith("both"), name)
+        self.assertEqual(device["neighbors_per_second"] is None, name.startswith("both"), name)
+        self.assertEqual(device["blocks"] == 1, device["in_core"], name)
+        for key in ("upload_seconds", "download_seconds", "bytes_up", "bytes_down"):
+            self.assertEqual(device[key], 0, key)
+        for key in ("up_gbs", "down_gbs", "kernel_gbs"):
+            self.assertIsNone(device[key], key)
+        for key in ("overflows", "retries", "splits", "halvings"):
+            self.assertGreaterEqual(device[key], 0)
+        for key in ("search_seconds", "makespan_seconds", "estimate_seconds", "candidate_tests", "particles_per_gib",
+                    "model_tests_per_second"):
+            self.assertGreater(device[key], 0, key)
+        self.assertGreater(device["candidate_tests"], result["pairs"])
+        seconds = result["seconds"]
+        self.assertGreaterEqual(seconds["max"], seconds["grid"] + device["estimate_seconds"])
+        if name.startswith("both"):
+            self.assertAlmostEqual(device["over_lower_bound"] * device["lower_bound_seconds"],
+                                   device["makespan_seconds"], delta=1e-9)
+            self.assertGreaterEqual(device["over_lower_bound"], 0.9)
+        else:
+            self.assertIsNone(device["over_lower_bound"])
+
+    def test_methods_of_blocks(self):
+        args = ("bench", "--scene", "block", "-n", "30000", "--repeat", "1", "--sample", "20", "--device", "sim:2")
+        report = self.report(*args, "--method", "blocks-count,blocks16-mask,both-auto-mask,in-core-count")
+        by_name = {result["method"]: result["device"] for result in report["results"]}
+        self.assertEqual([by_name[name]["in_core"] for name in by_name], [False, False, False, True])
+        self.assertGreater(by_name["blocks16-mask"]["blocks"], 4)
+        self.assertIsNone(by_name["both-auto-mask"]["lower_bound_seconds"]) # neither part was measured
+        out = self.succeeds(*args, "--method", "blocks-mask,ours-mask").out
+        self.assertRegex(out, r"(?m)^all methods find the same pairs$")
+        self.assertRegex(out, r"(?m)^on simulated, in virtual time$")
+        self.assertEqual(len([line for line in out.splitlines() if line.startswith("blocks-mask")]), 2)
+
+    def test_in_core_is_in_core(self):
+        args = ("bench", "--scene", "block", "-n", "5000", "--repeat", "1", "--device", "sim", "--sim", "memory=100KB")
+        self.fails(4, *args, "--method", "in-core-mask", says=["in-core-mask", "100000", "needs about"])
+        report = self.report(*args, "--method", "blocks-mask", "--device-memory", "1GB")
+        self.assertEqual([r["device"]["in_core"] for r in report["results"]], [True])
+
+    def test_methods_and_devices_that_contradict(self):
+        scene = ("bench", "--scene", "block", "-n", "100")
+        self.fails(2, *scene, "--device", "sim", "--method", "ours-mask", says=["--device sim", "blocks-mask"])
+        self.fails(2, *scene, "--device", "cpu", "--method", "in-core-mask", says=["in-core-mask", "--device cpu"])
+        self.fails(2, *scene, "--device-memory", "1MB", says="--device-memory")
+        self.fails(2, *scene, "--device", "sim", "--device-memory", "1MB", "--method", "in-core-mask",
+                   says="--device-memory")
+        self.fails(2, *scene, "--device", "sim", "--method", "mapped-mask", says=["mapped-mask", "CUDA"])
+        self.fails(2, *scene, "--sim", "h200", says="--sim")
+        self.fails(2, *scene, "--device", "cpu", "--sim", "h200", says="--sim")
+        self.fails(2, *scene, "--device", "gpu", says="gpu")
+        self.fails(2, *scene, "--device", "sim", "--device-memory", "much", says="--device-memory")
+        for method in ("blocks", "blocks8-mask", "mask", "ours-", "both-mask", ""):
+            self.fails(2, *scene, "--device", "sim", "--method", method, says="--method")
+
     def test_points_are_handed_out(self):
         raw, shuffled = self.path("a.f32"), self.path("b.f32")
         base = ["bench", "--scene", "block", "-n", "1000", "--repeat", "1", "--method", "ours-index", "--points-out"]

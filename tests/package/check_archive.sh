@@ -35,10 +35,10 @@ tar -xzf "$archive" -C "$root/place one"
 package="$root/place one/$name"
 
 find "$package" -type l -o -type f | sed "s|^$package/||" | sort >"$work/files"
-for file in bin/vdb_nns LICENSE README.md INSTALL.txt; do
+for file in bin/vdb_nns bin/gpu_bench.sh LICENSE README.md INSTALL.txt; do
     grep -qx "$file" "$work/files" || fail "no $file in the package"
 done
-! grep -vE '^(bin/vdb_nns|LICENSE|README\.md|INSTALL\.txt|lib/vdb_nns/lib[^/]*\.so[^/]*|share/doc/vdb_nns/.*)$' "$work/files" ||
+! grep -vE '^(bin/vdb_nns|bin/gpu_bench\.sh|LICENSE|README\.md|INSTALL\.txt|lib/vdb_nns/lib[^/]*\.so[^/]*|share/doc/vdb_nns/.*)$' "$work/files" ||
     fail "files that nobody expected in the package"
 ! grep -E '/(ld-linux|lib(c|m|mvec|pthread|dl|rt|resolv)\.so)' "$work/files" || fail "parts of the C library in the package"
 

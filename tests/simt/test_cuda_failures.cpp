@@ -63,6 +63,39 @@ TEST(CudaFailures, NoneGivesTheLists)
     EXPECT_EQ(searchWith(DeviceFailure::kStop, 4).checksum, trueChecksum());
 }
 
+TEST(CudaFailures, MemoryIsKeptForTheNextRun)
+{
+    const EstimatedGrid& own = problem();
+    simt::resetMachine({kDeviceBytes}, 7);
+    std::vector<DeviceLimits> devices = cudaDevices();
+    RunOptions run;
+    run.schedule.useCpu = false;
+    run.schedule.boundary = BoundaryMode::kHalo;
+    const WorkloadTree one = own.tree(Encoding::kMask, ~0ull);
+    {
+        SearchEngine engine;
+        const auto search = [&](std::uint64_t divisor) {
+            devices[0].memoryBytes = own.need(Encoding::kMask) / divisor;
+            const std::uint64_t bytes =
+                nodeBytesFor(own.grid, own.estimate, one.options.model, devices, run.schedule);
+            const Schedule schedule =
+                makeSchedule(own.grid, own.tree(Encoding::kMask, bytes), devices, run.schedule);
+            ScheduleRun report;
+            EXPECT_EQ(engine.search(own.grid, schedule, devices, run, report).checksum(), trueChecksum());
+            EXPECT_GT(report.devices[0].peakBytes, 0u);
+            EXPECT_LE(report.devices[0].peakBytes, devices[0].memoryBytes);
+            return report;
+        };
+        EXPECT_EQ(search(4).halvings, 0u);
+        // An allocation would be refused now, and half of it asked for.
+        simt::fail("cudaMalloc", 0, cudaErrorMemoryAllocation);
+        EXPECT_EQ(search(4).halvings, 0u);
+        EXPECT_EQ(search(2).halvings, 1u) << "another budget is another device";
+        EXPECT_EQ(search(4).halvings, 0u);
+    }
+    EXPECT_EQ(simt::liveAllocations(), 0u);
+}
+
 TEST(CudaFailures, MemoryThatIsRefusedHalvesBlocks)
 {
     for (const char* call : {"cudaMalloc", "cudaHostAlloc"}) {

@@ -2,7 +2,10 @@
 #include "bench/accuracy.h"
 #include "bench/bench_points.h"
 #include "bench/bench_report.h"
+#include "bench/device_methods.h"
+#include "bench/device_report.h"
 #include "bench/estimators.h"
+#include "bench/link.h"
 #include "bench/methods.h"
 #include "cli_options.h"
 #include "command.h"
@@ -26,13 +29,16 @@ struct BenchFlags {
     InputFlags input;
     EngineFlags engine;
     SceneFlags scene;
+    DeviceFlags device;
     std::string sceneName, methods, estimators, csv, pointsOut, shuffleSeed;
     std::string repeat = "5", sample = "1000";
 };
 
 struct BenchPlan {
-    std::vector<std::string> methods, estimators;
+    std::vector<MethodSpec> methods;
+    std::vector<std::string> estimators;
     SearchOptions options;
+    BenchDevices devices;
     std::optional<SceneOptions> scene;
     std::optional<double> radius;
     std::optional<std::uint64_t> shuffleSeed;
@@ -42,6 +48,7 @@ struct BenchPlan {
 
 struct MethodTimes {
     std::vector<double> grid, search, total;
+    std::vector<DeviceMeasures> device; // empty for a method of the CPU
     MethodRun last;
     double first = 0;
     std::uint64_t peakBytes = 0;
@@ -55,11 +62,8 @@ void addFlags(CLI::App& app, BenchFlags& flags)
         ->check(notEmpty());
     addSceneFlags(app, flags.scene);
     addInputFlags(app, flags.input, true);
-    app.add_option("--method", flags.methods,
-                   "methods, separated by commas: ours-index,ours-mask,ours-count; "
-                   "default: all")
-        ->type_name("LIST")
-        ->check(notEmpty());
+    app.add_option("--method", flags.methods, methodHelp())->type_name("LIST")->check(notEmpty());
+    addDeviceTargetFlags(app, flags.device);
     app.add_option("--estimator", flags.estimators,
                    "estimators of the work, separated by commas, against a full count: "
                    "paper,uncorrected,expected,sampled,counted,fixed,mask or all; default: none")
@@ -97,7 +101,9 @@ BenchPlan checkFlags(const BenchFlags& flags)
         throw InvalidInput("-n is for --scene; a file has the points it has");
     }
     if (!flags.input.radius.empty()) plan.radius = parsePositive(flags.input.radius, "--radius");
-    plan.methods = parseMethods(flags.methods);
+    const bool namesDevice = flags.device.device != "auto" && flags.device.device != "cpu";
+    plan.methods = parseMethods(flags.methods, namesDevice ? flags.device.device : "");
+    checkDeviceFlags(flags.device, plan.methods);
     plan.estimators = parseEstimators(flags.estimators);
     plan.options = searchOptions(flags.engine, nullptr);
     plan.repeat = parseCount(flags.repeat, "--repeat");
@@ -129,14 +135,20 @@ BenchPoints loadPoints(const BenchFlags& flags, const BenchPlan& plan, ProgressP
     return points;
 }
 
+std::unique_ptr<Method> makeMethod(const MethodSpec& spec, const BenchPlan& plan)
+{
+    return spec.onDevice() ? makeDeviceMethod(spec, plan.options, plan.devices)
+                           : makeCpuMethod(spec, plan.options);
+}
+
 // One cold run of a method by itself: its first time and its peak of memory.
-void measureCold(const std::string& name, const BenchPlan& plan, const ParticleView& view, double radius,
-                 MethodTimes& times)
+void measureCold(const MethodSpec& spec, const BenchPlan& plan, const ParticleView& view, double radius,
+                 const ProgressSpan& span, MethodTimes& times)
 {
     resetPeakMemory();
-    const std::unique_ptr<Method> method = makeMethod(name, plan.options);
-    const MethodRun run = method->run(view, radius);
-    times.first = run.gridSeconds + run.searchSeconds;
+    const std::unique_ptr<Method> method = makeMethod(spec, plan);
+    const MethodRun run = method->run(view, radius, span);
+    times.first = run.totalSeconds();
     times.peakBytes = peakMemoryBytes();
 }
 
@@ -147,15 +159,16 @@ void measureWarm(const std::vector<std::unique_ptr<Method>>& methods, const Benc
 {
     for (std::uint64_t run = 0; run <= plan.repeat; ++run) {
         for (std::size_t m = 0; m < methods.size(); ++m) {
-            progress.begin("search",
-                           0.3 + 0.5 * static_cast<double>(run) / static_cast<double>(plan.repeat + 1), 0.8);
-            const MethodRun result = methods[m]->run(view, radius);
+            const double step = 0.5 / static_cast<double>((plan.repeat + 1) * methods.size());
+            const double from = 0.3 + step * static_cast<double>(run * methods.size() + m);
+            const MethodRun result = methods[m]->run(view, radius, {progress, from, from + step});
             if (run < plan.repeat) methods[m]->discard(); // the last one is checked
             times[m].last = result;
             if (run == 0) continue;
             times[m].grid.push_back(result.gridSeconds);
             times[m].search.push_back(result.searchSeconds);
-            times[m].total.push_back(result.gridSeconds + result.searchSeconds);
+            times[m].total.push_back(result.totalSeconds());
+            if (result.device) times[m].device.push_back(*result.device);
         }
     }
 }
@@ -180,6 +193,7 @@ BenchResult summarize(const BenchPoints& points, const std::string& method, doub
     result.peakBytes = times.peakBytes;
     result.structureBytes = times.last.structureBytes;
     result.listBytes = times.last.listBytes;
+    if (!times.device.empty()) result.device = medianOf(times.device);
     return result;
 }
 
@@ -188,33 +202,53 @@ std::vector<BenchResult> measure(const BenchPoints& points, const BenchPlan& pla
 {
     const std::size_t count = plan.methods.size();
     std::vector<MethodTimes> times(count);
-    progress.begin("first", 0.2, 0.3);
-    for (std::size_t m = 0; m < count; ++m) measureCold(plan.methods[m], plan, points.view, radius, times[m]);
+    for (std::size_t m = 0; m < count; ++m)
+        measureCold(plan.methods[m], plan, points.view, radius, {progress, 0.2, 0.3}, times[m]);
     std::vector<std::unique_ptr<Method>> methods;
-    for (const std::string& name : plan.methods) methods.push_back(makeMethod(name, plan.options));
+    for (const MethodSpec& spec : plan.methods) methods.push_back(makeMethod(spec, plan));
     measureWarm(methods, plan, points.view, radius, progress, times);
 
     progress.begin("check", 0.8, 1);
     const TrueNeighbors truth = findTrueNeighbors(points.view, radius, plan.sample, plan.seed, &progress);
     std::vector<BenchResult> results;
     for (std::size_t m = 0; m < count; ++m) {
-        results.push_back(summarize(points, plan.methods[m], radius, threads, times[m]));
-        results.back().accuracy = checkAccuracy(*methods[m], points.view, radius, truth);
+        const NeighborLists& lists = methods[m]->lists();
+        results.push_back(summarize(points, plan.methods[m].name, radius, threads, times[m]));
+        results.back().accuracy = checkAccuracy(lists, points.view, radius, truth);
+        if (lists.encoding() != Encoding::kNone) results.back().checksum = lists.checksum();
         methods[m].reset();
     }
+    setLowerBounds(results);
     return results;
 }
 
 void deliver(const BenchFlags& flags, const std::vector<BenchResult>& results,
-             const std::vector<EstimatorResult>& estimators)
+             const std::optional<LinkRates>& link, const std::vector<EstimatorResult>& estimators)
 {
     if (!flags.csv.empty()) {
         const std::string csv = benchCsv(results);
         writeWholeFile(flags.csv, csv.data(), csv.size(), flags.common.force);
     }
-    deliverJson(flags.common.json, benchJson(results, estimators), flags.common.force);
+    deliverJson(flags.common.json, benchJson(results, link, estimators), flags.common.force);
     if (!flags.common.quiet && !jsonToStdout(flags.common))
-        writeStdout(benchText(results) + estimatorsText(estimators));
+        writeStdout(benchText(results) + devicesText(results, link) + estimatorsText(estimators));
+}
+
+void requireExact(const std::vector<BenchResult>& results)
+{
+    for (const BenchResult& result : results) {
+        if (!result.isExact()) {
+            throw CheckFailed(result.method + " is wrong: " + std::to_string(result.accuracy.missing) +
+                              " missing, " + std::to_string(result.accuracy.extra) + " extra, " +
+                              std::to_string(result.accuracy.asymmetric.value_or(0)) +
+                              " asymmetric pairs in " + std::to_string(result.accuracy.checkedQueries) +
+                              " queries; please report it");
+        }
+    }
+    if (const BenchResult* const other = firstThatDiffers(results)) {
+        throw CheckFailed(other->method + " and " + results.front().method +
+                          " do not find the same pairs; please report it");
+    }
 }
 
 int runBench(const BenchFlags& flags, BenchPlan plan, int threads, Session& session)
@@ -226,6 +260,7 @@ int runBench(const BenchFlags& flags, BenchPlan plan, int threads, Session& sess
     session.path = plan.scene ? "scene " + points.scene : flags.input.path;
     const double radius =
         chooseRadius(flags.input.radius, points.suggestedRadius, session.path, flags.common.quiet);
+    const std::optional<LinkRates> link = measureLink(plan.devices.request.devices);
     const std::vector<BenchResult> results = measure(points, plan, radius, threads, progress);
     std::vector<EstimatorResult> estimators;
     if (!plan.estimators.empty()) {
@@ -234,23 +269,16 @@ int runBench(const BenchFlags& flags, BenchPlan plan, int threads, Session& sess
     }
     throwIfStopped();
     progress.finish();
-    deliver(flags, results, estimators);
-    for (const BenchResult& result : results) {
-        if (!result.isExact()) {
-            throw CheckFailed(result.method + " is wrong: " + std::to_string(result.accuracy.missing) +
-                              " missing, " + std::to_string(result.accuracy.extra) + " extra, " +
-                              std::to_string(result.accuracy.asymmetric.value_or(0)) +
-                              " asymmetric pairs in " + std::to_string(result.accuracy.checkedQueries) +
-                              " queries; please report it");
-        }
-    }
+    deliver(flags, results, link, estimators);
+    requireExact(results);
     return kDone;
 }
 
 int runBenchCommand(const BenchFlags& flags, Session& session)
 {
-    const BenchPlan plan = checkFlags(flags);
+    BenchPlan plan = checkFlags(flags);
     ThreadLimit threads(plan.threads);
+    plan.devices = benchDevices(flags.device, plan.methods, threads.count());
     return threads.run([&] { return runBench(flags, plan, threads.count(), session); });
 }
 

@@ -266,9 +266,7 @@ int parseBlockLog2(const std::string& text)
     return log2;
 }
 
-} // namespace
-
-void addDeviceFlags(CLI::App& app, DeviceFlags& flags)
+void addDeviceNameFlags(CLI::App& app, DeviceFlags& flags)
 {
     app.add_option("--device", flags.device,
                    "what searches: auto, cpu, cuda, cuda:N, sim (a simulated device) or sim:N (N of them)")
@@ -279,6 +277,30 @@ void addDeviceFlags(CLI::App& app, DeviceFlags& flags)
                    "memory of each device, as --host-memory has it; default: the device's own")
         ->type_name("SIZE")
         ->check(notEmpty());
+}
+
+void addSimFlag(CLI::App& app, DeviceFlags& flags)
+{
+    app.add_option(
+           "--sim", flags.sim,
+           "the simulated device: gtx780 or h200, then key=value of pcie, up, down (GB/s), rate (tests/s), "
+           "memory, latency (us, s), slots, with commas; default: "
+           "pcie=12GB/s,rate=2.5Gtests/s,memory=3GiB,latency=20us,slots=3")
+        ->type_name("SPEC")
+        ->check(notEmpty());
+}
+
+} // namespace
+
+void addDeviceTargetFlags(CLI::App& app, DeviceFlags& flags)
+{
+    addDeviceNameFlags(app, flags);
+    addSimFlag(app, flags);
+}
+
+void addDeviceFlags(CLI::App& app, DeviceFlags& flags)
+{
+    addDeviceNameFlags(app, flags);
     app.add_option(
            "--boundary", flags.boundary,
            "who runs queries that reach out of their block: cpu (the paper), halo (the device, which is "
@@ -299,13 +321,7 @@ void addDeviceFlags(CLI::App& app, DeviceFlags& flags)
            "default: the largest that fit")
         ->type_name("N")
         ->check(notEmpty());
-    app.add_option(
-           "--sim", flags.sim,
-           "the simulated device: gtx780 or h200, then key=value of pcie, up, down (GB/s), rate (tests/s), "
-           "memory, latency (us, s), slots, with commas; default: "
-           "pcie=12GB/s,rate=2.5Gtests/s,memory=3GiB,latency=20us,slots=3")
-        ->type_name("SPEC")
-        ->check(notEmpty());
+    addSimFlag(app, flags);
 }
 
 DeviceRequest deviceRequest(const DeviceFlags& flags, int threads)

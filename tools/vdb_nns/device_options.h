@@ -15,6 +15,8 @@ struct DeviceFlags {
     std::string device = "auto", deviceMemory, boundary = "auto", estimator = "expected", blockSize, sim;
 };
 void addDeviceFlags(CLI::App& app, DeviceFlags& flags);
+/// Only those that say which devices there are: --device, --device-memory and --sim.
+void addDeviceTargetFlags(CLI::App& app, DeviceFlags& flags);
 
 /// What the flags ask for, ready for the library.
 struct DeviceRequest {

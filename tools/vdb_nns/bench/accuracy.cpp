@@ -58,7 +58,7 @@ void compareLists(std::vector<std::uint32_t> listed, const std::vector<std::uint
         std::max({report.maxUlp, largestUlp(query, missing, judge), largestUlp(query, extra, judge)});
 }
 
-std::uint64_t countAsymmetric(const Method& method, std::uint32_t query,
+std::uint64_t countAsymmetric(const NeighborLists& lists, std::uint32_t query,
                               const std::vector<std::uint32_t>& listed, std::uint64_t& budget)
 {
     std::uint64_t asymmetric = 0;
@@ -66,7 +66,7 @@ std::uint64_t countAsymmetric(const Method& method, std::uint32_t query,
     for (const std::uint32_t other : listed) {
         if (budget == 0) break;
         --budget;
-        method.neighbors(other, mirror);
+        lists.neighbors(other, mirror);
         asymmetric += std::find(mirror.begin(), mirror.end(), query) == mirror.end();
     }
     return asymmetric;
@@ -100,26 +100,27 @@ TrueNeighbors findTrueNeighbors(const ParticleView& view, double radius, std::ui
     return truth;
 }
 
-AccuracyReport checkAccuracy(const Method& method, const ParticleView& view, double radius,
+AccuracyReport checkAccuracy(const NeighborLists& lists, const ParticleView& view, double radius,
                              const TrueNeighbors& truth)
 {
     AccuracyReport report;
     report.checkedQueries = truth.queries.size();
-    if (method.hasLists()) report.asymmetric = 0;
+    const bool hasLists = lists.encoding() != Encoding::kNone;
+    if (hasLists) report.asymmetric = 0;
     const PairJudge judge(view, radius);
     std::uint64_t mirrorBudget = kMirrorChecks;
     std::vector<std::uint32_t> listed;
     for (std::size_t k = 0; k < truth.queries.size(); ++k) {
         const std::uint32_t query = truth.queries[k];
-        const std::uint64_t expected = truth.neighbors[k].size(), counted = method.count(query);
-        if (!method.hasLists()) {
+        const std::uint64_t expected = truth.neighbors[k].size(), counted = lists.count(query);
+        if (!hasLists) {
             report.missing += expected > counted ? expected - counted : 0;
             report.extra += counted > expected ? counted - expected : 0;
             continue;
         }
-        method.neighbors(query, listed);
+        lists.neighbors(query, listed);
         compareLists(listed, truth.neighbors[k], query, judge, report);
-        *report.asymmetric += countAsymmetric(method, query, listed, mirrorBudget);
+        *report.asymmetric += countAsymmetric(lists, query, listed, mirrorBudget);
     }
     return report;
 }

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "bench/bench_report.h"
-#include "bench/methods.h"
+#include "vdb_nns/neighbor_lists.h"
 #include "vdb_nns/particle_view.h"
 #include "vdb_nns/progress.h"
 
@@ -22,8 +22,8 @@ struct TrueNeighbors {
 TrueNeighbors findTrueNeighbors(const ParticleView& view, double radius, std::uint64_t sample,
                                 std::uint64_t seed, Progress* progress);
 
-/// Checks the last run of a method.
-AccuracyReport checkAccuracy(const Method& method, const ParticleView& view, double radius,
+/// Checks the lists of a method, or its counts where there are no lists.
+AccuracyReport checkAccuracy(const NeighborLists& lists, const ParticleView& view, double radius,
                              const TrueNeighbors& truth);
 
 } // namespace vdb_nns::cli

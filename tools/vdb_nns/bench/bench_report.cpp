@@ -1,5 +1,6 @@
 #include "bench/bench_report.h"
 
+#include "bench/device_report.h"
 #include "machine.h"
 #include "report.h"
 #include "threads.h"
@@ -57,6 +58,8 @@ Json resultJson(const BenchResult& result)
                         {"extra", accuracy.extra},
                         {"asymmetric", accuracy.asymmetric ? Json(*accuracy.asymmetric) : Json(nullptr)},
                         {"max_ulp", accuracy.maxUlp}};
+    json["checksum"] = result.checksum ? Json(checksumText(*result.checksum)) : Json(nullptr);
+    json["device"] = deviceMeasuresJson(result.device);
     return json;
 }
 
@@ -116,13 +119,28 @@ std::string particlesText(const std::vector<EstimatorResult>& estimators)
 
 } // namespace
 
-std::string benchJson(const std::vector<BenchResult>& results, const std::vector<EstimatorResult>& estimators)
+const BenchResult* firstThatDiffers(const std::vector<BenchResult>& results)
+{
+    std::optional<std::uint64_t> checksum;
+    for (const BenchResult& result : results) {
+        if (result.pairs != results.front().pairs) return &result;
+        if (!result.checksum) continue;
+        if (checksum && *checksum != *result.checksum) return &result;
+        checksum = result.checksum;
+    }
+    return nullptr;
+}
+
+std::string benchJson(const std::vector<BenchResult>& results, const std::optional<LinkRates>& link,
+                      const std::vector<EstimatorResult>& estimators)
 {
     Json json;
     json["schema"] = 1;
     json["version"] = VDB_NNS_VERSION;
     json["command"] = "bench";
     json["machine"] = machineJson(results);
+    json["link"] = linkJson(link);
+    json["all_agree"] = firstThatDiffers(results) == nullptr;
     json["results"] = Json::array();
     for (const BenchResult& result : results) json["results"].push_back(resultJson(result));
     json["estimators"] = Json::array();
@@ -135,7 +153,8 @@ std::string benchCsv(const std::vector<BenchResult>& results)
     std::string text =
         "scene,method,threads,points,pairs,radius,runs,grid_seconds,search_seconds,total_seconds,"
         "min_seconds,max_seconds,first_seconds,peak_rss_bytes,structure_bytes,list_bytes,"
-        "checked_queries,missing,extra,asymmetric,max_ulp\n";
+        "checked_queries,missing,extra,asymmetric,max_ulp,checksum";
+    text += deviceCsvHeader() + "\n";
     for (const BenchResult& r : results) {
         text += csvField(r.scene) + "," + r.method;
         text += format(",%d,%llu,%llu,%.17g,%llu", r.threads, wide(r.points), wide(r.pairs), r.radius,
@@ -146,7 +165,8 @@ std::string benchCsv(const std::vector<BenchResult>& results)
         text += format(",%llu,%llu,%llu,", wide(r.accuracy.checkedQueries), wide(r.accuracy.missing),
                        wide(r.accuracy.extra));
         if (r.accuracy.asymmetric) text += std::to_string(*r.accuracy.asymmetric);
-        text += format(",%g\n", r.accuracy.maxUlp);
+        text += format(",%g,", r.accuracy.maxUlp) + (r.checksum ? checksumText(*r.checksum) : "");
+        text += deviceCsvFields(r.device) + "\n";
     }
     return text;
 }
@@ -162,17 +182,24 @@ std::string benchText(const std::vector<BenchResult>& results)
         text += "vdb_nns " VDB_NNS_VERSION ", commit " + buildFact("commit ") + ", " +
                 buildFact("compiler: ") + ", " + cpuName() + "\n";
     }
-    text += format("%-12s %13s %9s %9s %9s %9s %9s %7s %9s %9s %s\n", "method", "pairs", "grid s", "search s",
-                   "total s", "min s", "max s", "ns/part", "grid MB", "lists MB", "wrong/checked");
+    text += format("%-15s %13s %9s %9s %9s %9s %9s %7s %9s %9s %-13s %s\n", "method", "pairs", "grid s",
+                   "search s", "total s", "min s", "max s", "ns/part", "grid MB", "lists MB", "wrong/checked",
+                   "checksum");
     for (const BenchResult& r : results) {
         const double nanoseconds = r.points > 0 ? 1e9 * r.totalSeconds / static_cast<double>(r.points) : 0;
         text +=
-            format("%-12s %13llu %9.4f %9.4f %9.4f %9.4f %9.4f %7.1f", r.method.c_str(), wide(r.pairs),
+            format("%-15s %13llu %9.4f %9.4f %9.4f %9.4f %9.4f %7.1f", r.method.c_str(), wide(r.pairs),
                    r.gridSeconds, r.searchSeconds, r.totalSeconds, r.minSeconds, r.maxSeconds, nanoseconds);
-        text += format(" %9.1f %9.1f %llu/%llu\n", static_cast<double>(r.structureBytes) / 1e6,
-                       static_cast<double>(r.listBytes) / 1e6,
-                       wide(r.accuracy.missing + r.accuracy.extra + r.accuracy.asymmetric.value_or(0)),
-                       wide(r.accuracy.checkedQueries));
+        const std::string checked =
+            countText(r.accuracy.missing + r.accuracy.extra + r.accuracy.asymmetric.value_or(0)) + "/" +
+            countText(r.accuracy.checkedQueries);
+        text += format(" %9.1f %9.1f %-13s %s\n", static_cast<double>(r.structureBytes) / 1e6,
+                       static_cast<double>(r.listBytes) / 1e6, checked.c_str(),
+                       r.checksum ? checksumText(*r.checksum).c_str() : "-");
+    }
+    if (results.size() > 1) {
+        text += firstThatDiffers(results) ? "the methods do NOT find the same pairs\n"
+                                          : "all methods find the same pairs\n";
     }
     return text;
 }

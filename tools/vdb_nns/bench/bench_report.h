@@ -1,6 +1,8 @@
 // What a benchmark found, as JSON, CSV and lines for people.
 #pragma once
 
+#include "bench/device_measures.h"
+#include "bench/link.h"
 #include "estimators.h"
 
 #include <cstdint>
@@ -27,7 +29,9 @@ struct BenchResult {
     double minSeconds = 0, maxSeconds = 0;                       ///< of grid and search together
     double firstSeconds = 0;                                     ///< the first run, memory untouched
     std::uint64_t peakBytes = 0, structureBytes = 0, listBytes = 0;
+    std::optional<std::uint64_t> checksum; ///< of all pairs; empty without lists
     AccuracyReport accuracy;
+    std::optional<DeviceMeasures> device; ///< empty for a method of the CPU
 
     bool isExact() const
     {
@@ -35,7 +39,10 @@ struct BenchResult {
     }
 };
 
-std::string benchJson(const std::vector<BenchResult>& results,
+/// A method that finds other pairs than the first that has what is compared: their number, and their checksum; null if all agree.
+const BenchResult* firstThatDiffers(const std::vector<BenchResult>& results);
+
+std::string benchJson(const std::vector<BenchResult>& results, const std::optional<LinkRates>& link,
                       const std::vector<EstimatorResult>& estimators);
 std::string benchCsv(const std::vector<BenchResult>& results);
 std::string benchText(const std::vector<BenchResult>& results);

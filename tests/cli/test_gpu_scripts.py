@@ -1,0 +1,113 @@
+"""The scripts for machines with a GPU, where there is none: tools/gpu_bench.sh in small on emulated devices runs to its end, prints
+every row and writes its reports; tools/gpu_check.sh judges stand-ins for the tests and for compute-sanitizer.
+
+usage: test_gpu_scripts.py TOOLS_FOLDER VDB_NNS_EMULATED
+"""
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import unittest
+
+KEYS = ["agreement", "kernel_mask", "kernel_index", "kernel_floor", "per_gib_index", "per_gib_mask", "link_share",
+        "end_to_end", "over_mapped", "mapped_link", "over_all_cores", "block_sizes", "cpu_and_gpu", "over_one_core",
+        "scale"]
+
+
+def gpu_bench(*args, **variables):
+    environment = {**os.environ, "VDB_NNS": PROGRAM, "VDB_NNS_EMULATED_DEVICES": "256", **variables}
+    return run("gpu_bench.sh", args, environment)
+
+
+def run(script, args, environment):
+    return subprocess.run([os.path.join(TOOLS, script), *args], stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL,
+                          env=environment, universal_newlines=True, timeout=300)
+
+
+class ScriptCase(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory(prefix="vdb_nns_gpu_bench_")
+        self.addCleanup(folder.cleanup)
+        self.folder = folder.name
+
+
+class GpuBench(ScriptCase):
+    def test_all_rows(self):
+        out = os.path.join(self.folder, "with a space")
+        done = gpu_bench("--tiny", out)
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        with open(os.path.join(out, "summary.json")) as file:
+            summary = json.load(file)
+        self.assertEqual((summary["schema"], summary["tiny"], summary["agree"], summary["failed_steps"]),
+                         (1, True, True, []))
+        self.assertEqual([row["key"] for row in summary["rows"]], KEYS)
+        lines = done.stdout.splitlines()
+        for row in summary["rows"]:
+            self.assertIn(row["reached"], ("yes", "no", "-"), row)
+            self.assertNotIn("failed", row["value"], row)
+            self.assertIsInstance(row["number"], (int, float), row)
+            cells = [row[key] for key in ("what", "value", "bar", "reached", "note")]
+            self.assertEqual(len([line for line in lines if [c.strip() for c in line.split("|")[1:-1]] == cells]), 1, row)
+        self.assertEqual(summary["rows"][0]["reached"], "yes")
+        reports = {}
+        for name in os.listdir(out):
+            if name.endswith(".json"):
+                with open(os.path.join(out, name)) as file:
+                    reports[name] = json.load(file)
+        for key in ("up_gbs", "down_gbs", "both_up_gbs", "both_down_gbs"):
+            self.assertGreater(reports["large.json"]["link"][key], 0)
+        mapped = [r["device"] for r in reports["large.json"]["results"] if r["method"] == "mapped-mask"][0]
+        self.assertGreater(mapped["kernel_gbs"], 0)
+        self.assertGreater(mapped["bytes_up"], 0)
+        self.assertEqual((mapped["upload_seconds"], mapped["in_core"], mapped["virtual"]), (0, True, False))
+
+    def test_failures_are_told(self):
+        done = gpu_bench("--tiny", self.folder, VDB_NNS_EMULATED_DEVICES="")
+        self.assertEqual(done.returncode, 5, done.stderr)
+        self.assertIn("CUDA", done.stderr)
+        self.assertEqual(gpu_bench("--huge").returncode, 2)
+        self.assertEqual(gpu_bench("a", "b").returncode, 2)
+        self.assertEqual(gpu_bench(self.folder, VDB_NNS=self.folder + "/none").returncode, 2)
+
+
+class GpuCheck(ScriptCase):
+    def program(self, name, lines):
+        path = os.path.join(self.folder, name)
+        with open(path, "w") as file:
+            file.write("#!/bin/sh\n" + lines)
+        os.chmod(path, 0o755)
+        return path
+
+    def check(self, tests="echo '[  PASSED  ] 2 tests.'", racecheck="0 hazards", memcheck="0 errors", **variables):
+        self.program("compute-sanitizer", f"""
+case "$*" in *racecheck*) echo "===== RACECHECK SUMMARY: {racecheck} displayed" ;;
+*memcheck*) echo "===== ERROR SUMMARY: {memcheck}" ;; *) echo "===== ERROR SUMMARY: 0 errors" ;; esac
+while [ "${{1#--}}" != "$1" ]; do shift 2; done
+"$@"
+""")
+        environment = {**os.environ, "PATH": self.folder + ":" + os.environ["PATH"], **variables}
+        return run("gpu_check.sh", [self.program("tests", tests), self.folder + "/logs"], environment)
+
+    def test_verdicts(self):
+        done = self.check()
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        self.assertEqual([line.split()[:2] for line in done.stdout.splitlines()],
+                         [[name, "ok;"] for name in ("tests", "memcheck", "racecheck", "initcheck", "synccheck")])
+        for name, failing in (("memcheck", {"memcheck": "3 errors"}), ("racecheck", {"racecheck": "1 hazard"})):
+            done = self.check(**failing)
+            self.assertEqual(done.returncode, 1)
+            self.assertEqual([line.split()[0] for line in done.stdout.splitlines() if "FAILED" in line], [name])
+        for tests in ("exit 1", "echo '[  PASSED  ] 0 tests.'", "echo nothing",
+                      "echo '[  SKIPPED ] a'; echo '[  PASSED  ] 1 test.'"):
+            done = self.check(tests)
+            self.assertEqual((done.returncode, done.stdout.count("FAILED")), (1, 5), done.stdout)
+
+    def test_bad_arguments(self):
+        self.assertEqual(run("gpu_check.sh", [], os.environ).returncode, 2)
+        self.assertEqual(run("gpu_check.sh", [self.folder + "/none"], os.environ).returncode, 2)
+
+
+if __name__ == "__main__":
+    TOOLS, PROGRAM = sys.argv[1:3]
+    unittest.main(argv=sys.argv[:1] + sys.argv[3:], verbosity=2)

@@ -1,0 +1,318 @@
+#!/usr/bin/env bash
+# Measures vdb_nns on this machine's CUDA device: that all devices agree, how fast they are, and what they are to be measured
+# by. Prints one table; reports of every step, and the table as summary.json, go to a folder.
+#   gpu_bench.sh [--tiny] [FOLDER]        FOLDER: gpu_bench_results by default; --tiny: sizes that prove nothing, for tests
+# The program is the one beside this script, or $VDB_NNS. Takes under 8 minutes on an H200 with 16 cores. A step that fails or
+# takes too long is said to have failed, and the others go on. Exit: 0; 1 if devices do not agree; 2 bad arguments; 5 no device.
+set -uo pipefail
+export LC_ALL=C
+
+tiny=0 out=gpu_bench_results seen=0
+for argument in "$@"; do
+    case $argument in
+    --tiny) tiny=1 ;;
+    -h | --help) sed -n '2,6s/^# \{0,1\}//p' "${BASH_SOURCE[0]}"; exit 0 ;;
+    -*) echo "gpu_bench.sh: '$argument' is not a flag; there is --tiny" >&2; exit 2 ;;
+    *) out=$argument seen=$((seen + 1)) ;;
+    esac
+done
+if [ -z "$out" ] || [ "$seen" -gt 1 ]; then
+    echo "gpu_bench.sh: give one folder for the results" >&2
+    exit 2
+fi
+here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+program=${VDB_NNS:-$here/vdb_nns}
+[ -x "$program" ] || { echo "gpu_bench.sh: no program at '$program'; give it as VDB_NNS=PATH" >&2; exit 2; }
+mkdir -p "$out" || exit 2
+
+# Sizes: of scenes, of the device's memory for scenes out of core.
+device=cuda:0 repeat=2 kernel_repeat=5 deadline=460
+agree_count=500k coincident_count=5k agree_memory=8MiB
+block_count=16M large_count=65.6M large_memory=3GiB medium=two_sources medium_count=16M medium_memory=768MiB
+if [ $tiny -eq 1 ]; then
+    repeat=1 kernel_repeat=1
+    agree_count=400 coincident_count=150 agree_memory=40KB
+    block_count=1k large_count=1500 large_memory=60KB
+    medium=spray medium_count=1k medium_memory=40KB # has small leaves
+fi
+
+# ---- steps ------------------------------------------------------------------------------------------------------------
+
+failed=()
+say() { echo "[$SECONDS s] $*" >&2; }
+
+# step NAME LIMIT FLAG..: vdb_nns bench with these flags, its reports in the folder; at most LIMIT seconds, and never past
+# the deadline of all.
+step() {
+    local name=$1 limit=$2 left=$((deadline - SECONDS)) code
+    shift 2
+    rm -f "$out/$name".{csv,json,txt}
+    say "$name: bench $*"
+    if [ "$left" -le 0 ]; then
+        say "$name: no time is left"
+        failed+=("$name")
+        return 1
+    fi
+    timeout -k 5 "$((left < limit ? left : limit))" "$program" bench "$@" --progress never \
+        --csv "$out/$name.csv" --json "$out/$name.json" --force >"$out/$name.txt" 2>&1
+    code=$?
+    [ $code -eq 0 ] && return 0
+    say "$name: FAILED with $code: $(tail -n 1 "$out/$name.txt")"
+    failed+=("$name")
+    return $code
+}
+
+# get STEP METHOD COLUMN: a figure of the step's CSV; nothing if it is not there.
+get() {
+    [ -f "$out/$1.csv" ] || return 0
+    awk -F, -v method="$2" -v column="$3" '
+        NR == 1 { for (i = 1; i <= NF; ++i) if ($i == column) at = i }
+        NR > 1 && $2 == method && at { print $at }' "$out/$1.csv"
+}
+
+# link STEP KEY: a rate of the link, in GB/s.
+link() {
+    [ -f "$out/$1.json" ] || return 0
+    sed -n "s/^ *\"$2\": \([0-9.e+-]*\),\{0,1\}\$/\1/p" "$out/$1.json" | head -n 1
+}
+
+# math FORMULA A B ..: of a, b, .. f; nothing if one of them is missing or the result is no number.
+math() {
+    local formula=$1 value names=(a b c d e f) assignments=() i=0
+    shift
+    for value in "$@"; do
+        [ -n "$value" ] || return 0
+        assignments+=(-v "${names[i++]}=$value")
+    done
+    awk "${assignments[@]}" "function max(x, y) { return x > y ? x : y }
+        function min(x, y) { return x < y ? x : y }
+        BEGIN { value = sprintf(\"%.6g\", $formula); if (value !~ /n/) printf \"%s\", value }" 2>/dev/null || true
+}
+# Whether A >= B, or A <= B: yes, no, or - where there is nothing to compare.
+at_least() { [ -n "$1" ] && awk -v a="$1" -v b="$2" 'BEGIN { print (a + 0 >= b + 0 ? "yes" : "no") }' || echo no; }
+at_most() { [ -n "$1" ] && at_least "$2" "$1" || echo no; }
+# show PATTERN VALUE..: as printf, or nothing if one is missing.
+show() {
+    local value
+    for value in "${@:2}"; do [ -n "$value" ] || return 0; done
+    # shellcheck disable=SC2059
+    printf "$1" "${@:2}"
+}
+
+# ---- the table ----------------------------------------------------------------------------------------------------------
+
+rows=()
+# row KEY WHAT VALUE BAR REACHED NOTE [NUMBER]. No value: the step has failed.
+row() {
+    local value=$3 reached=$5 number=${7:-}
+    if [ -z "$value" ]; then
+        value=failed reached=no number=
+    fi
+    rows+=("$1"$'\t'"$2"$'\t'"$value"$'\t'"$4"$'\t'"$reached"$'\t'"${6:-}"$'\t'"$number")
+}
+
+print_table() {
+    printf '%s\n' "what"$'\t'"value"$'\t'"bar"$'\t'"reached"$'\t'"note" "${rows[@]/#*([^$'\t'])$'\t'/}" |
+        awk -F'\t' '{ for (i = 1; i <= 5; ++i) { cell[NR, i] = $i; if (length($i) > width[i]) width[i] = length($i) } }
+            END { for (r = 1; r <= NR; ++r) {
+                line = ""
+                for (i = 1; i <= 5; ++i) line = line sprintf("| %-*s ", i < 5 ? width[i] : 1, cell[r, i])
+                print line "|"
+                if (r == 1) { for (i = 1; i <= 5; ++i) printf "|---"; print "|" } } }'
+}
+
+write_summary() {
+    {
+        printf '{\n  "schema": 1,\n  "version": "%s",\n' "$("$program" --version | head -n 1 | tr -d \"\\\\)"
+        printf '  "tiny": %s,\n  "agree": %s,\n  "seconds": %d,\n' "$([ $tiny -eq 1 ] && echo true || echo false)" \
+            "$([ "$agree" -eq 1 ] && echo true || echo false)" "$SECONDS"
+        printf '  "failed_steps": ['
+        local separator='' name
+        for name in ${failed[@]+"${failed[@]}"}; do
+            printf '%s"%s"' "$separator" "$name"
+            separator=', '
+        done
+        printf '],\n  "rows": ['
+        printf '%s\n' "${rows[@]}" | awk -F'\t' '{ printf "%s\n    {\"key\": \"%s\", \"what\": \"%s\", \"value\": \"%s\", \"number\": %s, \"bar\": \"%s\", \"reached\": \"%s\", \"note\": \"%s\"}", (NR > 1 ? "," : ""), $1, $2, $3, ($7 == "" ? "null" : $7), $4, $5, $6 }'
+        printf '\n  ]\n}\n'
+    } >"$out/summary.json"
+}
+
+# ---- what is measured ---------------------------------------------------------------------------------------------------
+
+check_device() {
+    local code
+    step device 60 --scene block -n 300 --device $device --method in-core-mask --repeat 1 --sample 10
+    code=$?
+    [ $code -ne 5 ] && [ $code -ne 2 ] && return
+    tail -n 1 "$out/device.txt" >&2
+    exit 5
+}
+
+agree=1
+measure_agreement() {
+    local scene count=$agree_count equal=0 scenes=(block dam_break two_sources sheet spray clusters lattice coincident
+        outlier far seam) wrong=() methods=ours-mask,ours-index,in-core-mask,in-core-index,blocks-mask,both-auto-mask
+    [ $tiny -eq 1 ] || methods+=,ours-count,in-core-count,mapped-mask,blocks-index,both-cpu-mask,both-cpu-index
+    for scene in "${scenes[@]}"; do
+        count=$agree_count
+        [ "$scene" = coincident ] && count=$coincident_count
+        if step "agree_$scene" 40 --scene "$scene" -n "$count" --device $device --device-memory $agree_memory \
+            --method "$methods" --repeat 1 --sample 50; then
+            equal=$((equal + 1))
+        else
+            wrong+=("$scene")
+        fi
+    done
+    [ $equal -eq ${#scenes[@]} ] || agree=0
+    row agreement "CPU = GPU = CPU + GPU, checksums" "$equal of ${#scenes[@]} scenes" equal \
+        "$([ $agree -eq 1 ] && echo yes || echo no)" "${wrong[*]:+failed: ${wrong[*]}; }$agree_count particles each" $equal
+}
+
+measure_kernel() {
+    step kernel 90 --scene block -n $block_count --radius-factor 2 --device $device --repeat $kernel_repeat --sample 10 \
+        --method in-core-mask,in-core-index,ours-mask
+    local encoding bar rate kernel link_ms tests_ms all_ms
+    for encoding in mask index; do
+        bar=30
+        [ $encoding = index ] && bar=10
+        rate=$(math a/1e9 "$(get kernel in-core-$encoding device_neighbors_per_second)")
+        kernel=$(math a*1e3 "$(get kernel in-core-$encoding device_search_seconds)")
+        row kernel_$encoding "kernel, in core, block $block_count, $encoding" "$(show '%.2f G neighbors/s' "$rate")" \
+            "$bar G/s" "$(at_least "$rate" $bar)" "$(show 'kernel %.2f ms' "$kernel")" "$rate"
+    done
+    kernel=$(math a*1e3 "$(get kernel in-core-mask device_search_seconds)")
+    link_ms=$(math '1e-6 * (a / b + c / d)' "$(get kernel in-core-mask device_bytes_up)" "$(link kernel up_gbs)" \
+        "$(get kernel in-core-mask device_bytes_down)" "$(link kernel down_gbs)")
+    tests_ms=$(math '1e3 * a / b' "$(get kernel in-core-mask device_candidate_tests)" \
+        "$(get kernel in-core-mask device_model_tests_per_second)")
+    all_ms=$(math '1e3 * (a + b + c)' "$(get kernel in-core-mask device_upload_seconds)" \
+        "$(get kernel in-core-mask device_search_seconds)" "$(get kernel in-core-mask device_download_seconds)")
+    row kernel_floor "its floor, masks" \
+        "$(show '%.0f %% of the link, %.0f %% of the tests' "$(math '100 * a / b' "$link_ms" "$all_ms")" \
+            "$(math '100 * a / b' "$tests_ms" "$kernel")")" - - \
+        "$(show 'bytes / link %.2f ms of upload + kernel + download %.2f ms; tests / assumed rate %.2f ms of kernel %.2f ms' \
+            "$link_ms" "$all_ms" "$tests_ms" "$kernel")" "$(math 'a / b' "$link_ms" "$all_ms")"
+    for encoding in index mask; do
+        rate=$(math a/1e6 "$(get kernel in-core-$encoding device_particles_per_gib)")
+        row per_gib_$encoding "particles per GiB in core, $encoding" "$(show '%.2f M' "$rate")" - - \
+            "$(show 'peak %.0f MB' "$(math a/1e6 "$(get kernel in-core-$encoding device_peak_bytes)")")" "$rate"
+    done
+}
+
+# of METHOD COLUMN: of the large scene.
+of() { get large "$1" "$2"; }
+
+measure_large() {
+    step large 220 --scene two_sources -n $large_count --device $device --device-memory $large_memory \
+        --repeat $repeat --sample 10 \
+        --method ours-mask,in-core-mask,mapped-mask,blocks-mask,blocks16-mask,blocks32-mask,blocks64-mask,both-auto-mask
+    local what="two_sources $large_count, $large_memory, masks" span share up down rate
+    span=$(of blocks-mask device_makespan_seconds)
+    up=$(of blocks-mask device_bytes_up) down=$(of blocks-mask device_bytes_down)
+    # Both directions at once can carry the bytes in that time.
+    share=$(math '100 * max(1e-9 * a / b, 1e-9 * c / d) / e' "$up" "$(link large both_up_gbs)" "$down" \
+        "$(link large both_down_gbs)" "$span")
+    row link_share "$what: upload + search + download" "$(show '%.0f %% of the link' "$share")" '70 %' \
+        "$(at_least "$share" 70)" "$(show '%.3f s in all: up %.3f, kernels %.3f, down %.3f; %.2f GB up, %.2f GB down' \
+            "$span" "$(of blocks-mask device_upload_seconds)" "$(of blocks-mask device_search_seconds)" \
+            "$(of blocks-mask device_download_seconds)" "$(math a/1e9 "$up")" "$(math a/1e9 "$down")")" "$share"
+    rate=$(math 'a / b / 1e6' "$(of blocks-mask points)" "$(of blocks-mask total_seconds)")
+    row end_to_end "the same with host bucketing" "$(show '%.1f M queries/s' "$rate")" '60 M/s' "$(at_least "$rate" 60)" \
+        "$(show 'grid %.3f s, plan %.3f s, search %.3f s' "$(of blocks-mask grid_seconds)" \
+            "$(math a+b "$(of blocks-mask device_estimate_seconds)" "$(of blocks-mask device_plan_seconds)")" \
+            "$(of blocks-mask search_seconds)")" "$rate"
+    report_mapped "$span"
+    rate=$(math a/b "$(of ours-mask total_seconds)" "$(of blocks-mask total_seconds)")
+    row over_all_cores "over all cores of the CPU" "$(show '%.2fx' "$rate")" - - \
+        "$(show '%s threads: %.3f s; device: %.3f s, grid included' "$(of ours-mask threads)" \
+            "$(of ours-mask total_seconds)" "$(of blocks-mask total_seconds)")" "$rate"
+    report_block_sizes "$span"
+    rate=$(of both-auto-mask device_over_lower_bound)
+    row cpu_and_gpu "CPU + GPU: makespan over lower bound" "$(show '%.3f' "$rate")" 1.10 "$(at_most "$rate" 1.10)" \
+        "$(show '%.3f s; CPU alone %.3f s, GPU alone %.3f s, boundary %s' "$(of both-auto-mask device_makespan_seconds)" \
+            "$(of ours-mask search_seconds)" "$span" "$(of both-auto-mask device_boundary)")" "$rate"
+}
+
+report_mapped() {
+    local mapped ratio gbs share
+    mapped=$(of mapped-mask device_makespan_seconds)
+    ratio=$(math a/b "$mapped" "$1")
+    row over_mapped "over mapped host memory" "$(show '%.2fx' "$ratio")" - - \
+        "$(show 'mapped %.3f s, blocks %.3f s; kernels %.3f s and %.3f s' "$mapped" "$1" \
+            "$(of mapped-mask device_search_seconds)" "$(of blocks-mask device_search_seconds)")" "$ratio"
+    gbs=$(of mapped-mask device_kernel_gbs)
+    share=$(math '100 * a / b' "$gbs" "$(link large down_gbs)")
+    # In core the same kernels do the same but for the link.
+    row mapped_link "link rate of the mapped kernels" "$(show '%.0f %% of the link' "$share")" '60 %' \
+        "$(at_least "$share" 60)" "$(show '%.2f GB/s, every byte counted once; in core the kernels take %.0f %% of the time' \
+            "$gbs" "$(math '100 * a / b' "$(of in-core-mask device_search_seconds)" \
+                "$(of mapped-mask device_search_seconds)")")" "$share"
+}
+
+report_block_sizes() {
+    local size value='' note='' ratio
+    for size in 16 32 64; do
+        ratio=$(math a/b "$(of blocks$size-mask device_makespan_seconds)" "$1")
+        [ -n "$ratio" ] || value=failed
+        [ "$value" = failed ] || value+="$(show '%s^3 %.2f, ' $size "$ratio")"
+        note+="$(show '%s^3 %.3f s of kernels, %s blocks; ' $size "$(of blocks$size-mask device_search_seconds)" \
+            "$(of blocks$size-mask device_blocks)")"
+    done
+    [ "$value" = failed ] && value='' || value+='hierarchical 1'
+    row block_sizes "time by size of blocks" "$value" - - "$note$(show 'hierarchical %.3f s, %s' \
+        "$(of blocks-mask device_search_seconds)" "$(of blocks-mask device_blocks)")" "$ratio"
+}
+
+measure_one_core() {
+    local flags=(--scene "$medium" -n "$medium_count" --repeat 1 --sample 10)
+    step medium 60 "${flags[@]}" --device $device --device-memory $medium_memory --method blocks-mask,in-core-mask,ours-mask
+    step one_core 90 "${flags[@]}" -T 1 --method ours-mask
+    local one device_total ratio
+    one=$(get one_core ours-mask total_seconds) device_total=$(get medium blocks-mask total_seconds)
+    ratio=$(math a/b "$one" "$device_total")
+    row over_one_core "over one core of the CPU" "$(show '%.1fx' "$ratio")" - - \
+        "$(show '%s %s: %.3f s, device %.3f s, grid included; search alone %.1fx' $medium $medium_count "$one" \
+            "$device_total" "$(math a/b "$(get one_core ours-mask search_seconds)" \
+                "$(get medium blocks-mask search_seconds)")")" "$ratio"
+}
+
+# The same scene under budgets that it needs 1, 4 and 16 times.
+measure_scale() {
+    local need times note='' value='' each='' first='' worst=0 span bytes
+    need=$(get medium in-core-mask device_peak_bytes)
+    for times in 1 4 16; do
+        span='' bytes=''
+        if [ -n "$need" ] && step "scale_$times" 45 --scene "$medium" -n "$medium_count" --repeat $repeat --sample 0 \
+            --device $device --device-memory "$((need * 105 / 100 / times))" --method blocks-mask; then
+            span=$(get "scale_$times" blocks-mask device_makespan_seconds)
+            bytes=$(math 'a + b' "$(get "scale_$times" blocks-mask device_bytes_up)" \
+                "$(get "scale_$times" blocks-mask device_bytes_down)")
+        fi
+        each=$(math '1e9 * a / b' "$span" "$bytes")
+        [ -n "$first" ] || first=$each
+        [ -n "$each" ] && [ -n "$worst" ] && worst=$(math 'max(c, max(a / b, 0))' "$each" "$first" "$worst") || worst=''
+        value+="$(show '%sx %.3f s, ' $times "$span")"
+        note+="$(show '%sx %.3f GB in %s blocks, ' $times "$(math a/1e9 "$bytes")" \
+            "$(get "scale_$times" blocks-mask device_blocks)")"
+    done
+    [ -n "$worst" ] || value=''
+    row scale "$medium $medium_count in 1, 1/4, 1/16 of its bytes" "${value%, }" 'linear in bytes, 1.25' "$(at_most "$worst" 1.25)" \
+        "${note}$(show 'most time a byte over that of 1x: %.2f' "$worst")" "$worst"
+}
+
+shopt -s extglob
+check_device
+measure_agreement
+measure_kernel
+measure_large
+measure_one_core
+measure_scale
+write_summary
+echo
+print_table
+printf '\nlink: up %.1f GB/s, down %.1f GB/s; both at once: up %.1f, down %.1f\n' "$(link device up_gbs)" "$(link device down_gbs)" \
+    "$(link device both_up_gbs)" "$(link device both_down_gbs)"
+[ ${#failed[@]} -eq 0 ] || echo "failed: ${failed[*]}"
+echo "$SECONDS s; reports in $out"
+[ $agree -eq 1 ]
