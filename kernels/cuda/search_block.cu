@@ -512,6 +512,12 @@ __global__ void __launch_bounds__(kScanThreads) addGroupsKernel(const GroupSearc
     if (threadIdx.x == 0) search.tiles[blockIdx.x] = all;
 }
 
+// One thread. A kernel, as results may stand in host memory, which no memset is promised to reach.
+__global__ void clearHeadKernel(const __grid_constant__ GroupSearch search)
+{
+    *search.head = {};
+}
+
 // One block of threads for all tiles.
 __global__ void __launch_bounds__(kScanThreads) addTilesKernel(const GroupSearch search)
 {
@@ -557,7 +563,7 @@ void launchSearchAsync(const BlockSearch& block, cudaStream_t stream)
     search.tiles = search.groups + counts.groups;
     search.groupCount = counts.groups;
     search.tileCount = counts.tiles;
-    VDB_NNS_CUDA_CHECK(cudaMemsetAsync(search.head, 0, sizeof(ResultHead), stream));
+    launch("clear head", clearHeadKernel, 1, 1, stream, search);
     if (queries == 0) return;
     switch (block.encoding) {
     case Encoding::kNone:

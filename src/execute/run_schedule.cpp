@@ -333,9 +333,11 @@ void ScheduleRunner::settleOldest(std::size_t device)
 
 void ScheduleRunner::settleFailed(std::size_t device, Flight& flight)
 {
-    if (mOptions.onFailure == DeviceFailure::kStop) throw DeviceError(flight.failure);
+    const std::string why = mLimits[device].name + ", block " + std::to_string(flight.block.block) + " of " +
+                            std::to_string(mSchedule.blocks.size()) + ": " + flight.failure;
+    if (mOptions.onFailure == DeviceFailure::kStop) throw DeviceError(why);
     std::string& failure = mReport.devices[device].failure;
-    if (failure.empty()) failure = flight.failure;
+    if (failure.empty()) failure = why;
     mDispatcher->retire(static_cast<int>(device));
     ++mReport.retries;
     again(std::move(flight.block));

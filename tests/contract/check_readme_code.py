@@ -1,6 +1,8 @@
 """Runs what README.md shows: its `build/vdb_nns` commands on a smaller scene, then its Python blocks on what they wrote.
 
-    check_readme_code.py SOURCE_DIR VDB_NNS
+    check_readme_code.py SOURCE_DIR VDB_NNS [VDB_NNS_EMULATED]
+
+The commands that demand a GPU run with the program on an emulated one, where there is that.
 """
 
 import os
@@ -9,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 
-source, program = os.path.abspath(sys.argv[1]), os.path.abspath(sys.argv[2])
+source, program, *emulated = map(os.path.abspath, sys.argv[1:])
 with open(os.path.join(source, "README.md"), encoding="utf-8") as file:
     blocks = re.findall(r"^```(\w+)\n(.*?)^```", file.read(), re.M | re.S)
 commands = [line for kind, text in blocks if kind == "sh" for line in text.splitlines() if line.startswith("build/vdb_nns")]
@@ -19,7 +21,11 @@ assert len(commands) >= 4 and len(snippets) == 2, (commands, snippets)
 with tempfile.TemporaryDirectory() as folder:
     os.chdir(folder)
     for command in commands:
-        command = command.replace("build/vdb_nns", f"'{program}'", 1).replace("1000000", "20000")
+        needs_gpu = "--device cuda" in command
+        if needs_gpu and not emulated:
+            print("not run:", command)
+            continue
+        command = command.replace("build/vdb_nns", f"'{emulated[0] if needs_gpu else program}'", 1).replace("1000000", "20000")
         subprocess.run(command, shell=True, check=True, stdout=subprocess.DEVNULL)
     names = {}
     for snippet in snippets:
