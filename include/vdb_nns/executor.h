@@ -52,10 +52,17 @@ struct ScheduleRun {
     double seconds = 0;                    ///< virtual: when the last of all was done
 };
 
-/// The CUDA devices that this process sees, in the order of the runtime, with the memory that is free now. Their rates are
-/// guesses from the number of multiprocessors, replaced by what is measured once blocks have run.
+/// The CUDA devices that this process sees and can use, in the order of the runtime, with the memory that is free now: what a
+/// SearchEngine keeps for its next run is not (SearchEngine::releaseDevices()). Their rates are guesses from the number of
+/// multiprocessors, replaced by what is measured once blocks have run.
 /// Cost: opens every device, some tenths of a second each.
-/// @throws DeviceError without a device, a driver or a build with CUDA
-std::vector<DeviceLimits> cudaDevices();
+/// @param leftOut why others cannot be used: too old, not to be opened, no memory free; may be null
+/// @throws DeviceError without a device that can be used, a driver or a build with CUDA
+std::vector<DeviceLimits> cudaDevices(std::vector<std::string>* leftOut = nullptr);
+
+/// One of them; no other is opened.
+/// @param ordinal the runtime's number of it
+/// @throws DeviceError if it is not there or cannot be used
+DeviceLimits cudaDevice(int ordinal);
 
 } // namespace vdb_nns

@@ -85,6 +85,9 @@ public:
 
     const SearchStatistics& statistics() const;
 
+    /// Closes the devices of the last run with a schedule, which are kept with their memory for the next one.
+    void releaseDevices();
+
 private:
     struct Impl;
     std::unique_ptr<Impl> mImpl;

@@ -7,7 +7,9 @@
 
 #include <algorithm>
 #include <array>
+#include <iterator>
 #include <memory>
+#include <mutex>
 #include <utility>
 #include <vector>
 
@@ -34,6 +36,8 @@ public:
                     VDB_NNS_CUDA_CHECK(cudaEventCreateWithFlags(&interval.end, cudaEventBlockingSync));
                 }
             }
+            VDB_NNS_CUDA_CHECK(cudaEventCreateWithFlags(&mOpened, cudaEventDefault));
+            VDB_NNS_CUDA_CHECK(cudaEventRecord(mOpened, mSlots.at(0).stream));
         } catch (...) {
             close();
             throw;
@@ -57,7 +61,9 @@ public:
             return static_cast<std::byte*>(memory);
         });
         mUsedBytes += piece.bytes;
-        mPeakBytes = std::max(mPeakBytes, mUsedBytes);
+        std::uint64_t held = 0;
+        for (const Piece& p : mMemory) held += p.bytes;
+        mPeakBytes = std::max(mPeakBytes, held);
         mHandedOut.push_back(piece.memory);
         return piece.memory;
     }
@@ -81,6 +87,9 @@ public:
     {
         handBack();
         mPeakBytes = 0;
+        // Times are counted from here: floats of milliseconds do not stay fine for long.
+        VDB_NNS_CUDA_CHECK(cudaEventRecord(mOpened, mSlots.at(0).stream));
+        std::fill(std::begin(mCounted), std::end(mCounted), 0.0f);
     }
 
     void upload(int slot, std::byte* device, const std::byte* staging, std::uint64_t bytes) override
@@ -113,11 +122,18 @@ public:
         double* const seconds[kSteps] = {&times.uploadSeconds, &times.searchSeconds, &times.downloadSeconds};
         const std::size_t used = std::exchange(slot.used, 0);
         if (used > 0) VDB_NNS_CUDA_CHECK(cudaEventSynchronize(slot.intervals[used - 1].end));
+        // A slot's interval begins when its stream comes to it, and includes waiting for other slots. What they have
+        // been counted for is not counted again.
+        const std::lock_guard<std::mutex> lock(mMutex);
         for (std::size_t i = 0; i < used; ++i) {
             const Interval& interval = slot.intervals[i];
-            float milliseconds = 0;
-            VDB_NNS_CUDA_CHECK(cudaEventElapsedTime(&milliseconds, interval.begin, interval.end));
-            *seconds[interval.step] += 1e-3 * static_cast<double>(milliseconds);
+            float begin = 0, end = 0;
+            VDB_NNS_CUDA_CHECK(cudaEventElapsedTime(&begin, mOpened, interval.begin));
+            VDB_NNS_CUDA_CHECK(cudaEventElapsedTime(&end, mOpened, interval.end));
+            float& counted = mCounted[interval.step];
+            *seconds[interval.step] +=
+                1e-3 * static_cast<double>(std::max(0.0f, end - std::max(begin, counted)));
+            counted = std::max(counted, end);
         }
         return times;
     }
@@ -194,7 +210,11 @@ private:
     template <typename Make>
     Piece take(std::vector<Piece>& pieces, std::uint64_t bytes, std::uint64_t most, Make&& make)
     {
-        const auto fits = [&](const Piece& p) { return !p.isTaken && p.bytes >= bytes && p.bytes <= most; };
+        // Not one that is far too large: others would have to do with less.
+        const std::uint64_t largest = std::min(most, bytes + bytes / 4);
+        const auto fits = [&](const Piece& p) {
+            return !p.isTaken && p.bytes >= bytes && p.bytes <= largest;
+        };
         auto found = std::find_if(pieces.begin(), pieces.end(), fits);
         if (found == pieces.end()) {
             dropFree(pieces);
@@ -242,6 +262,7 @@ private:
             }
             if (slot.stream) cudaStreamDestroy(slot.stream);
         }
+        if (mOpened) cudaEventDestroy(mOpened);
     }
 
     const OpenOptions mOptions;
@@ -250,6 +271,9 @@ private:
     std::vector<std::byte*> mHandedOut; // of the memory, in the order in which it was asked for
     std::size_t mMappedStagings = 0;    // handed out
     std::uint64_t mUsedBytes = 0, mPeakBytes = 0;
+    cudaEvent_t mOpened = nullptr;
+    std::mutex mMutex;
+    float mCounted[kSteps] = {}; // milliseconds since it was opened, to which each step is counted
 };
 
 } // namespace

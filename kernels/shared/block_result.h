@@ -52,7 +52,7 @@ static inline ResultLayout resultLayout(std::uint64_t leaves, std::uint64_t quer
 }
 
 // Room for undecided pairs that a block is given: one for 64 queries, and some. About one test in 10^5 is undecided, one
-// query in 300; a lattice has more, and its blocks are redone in parts.
+// query in some hundreds; a lattice has more, and its blocks are redone in parts.
 static inline std::uint64_t undecidedRoom(std::uint64_t queries)
 {
     return 256 + queries / 4;

@@ -5,6 +5,8 @@
 #include "vdb_nns/error.h"
 
 #include <numeric>
+#include <string>
+#include <system_error>
 #include <utility>
 
 namespace vdb_nns {
@@ -20,7 +22,7 @@ std::uint64_t Flight::pairs() const
 void DeviceExecutor::openSlots(const SlotNeed& need)
 {
     constexpr std::uint64_t kLeastBytes = 1024;
-    if (need.slots == 0) return;
+    if (need.slots == 0 || !mDevice) return;
     SlotNeed asked = need;
     while (!tryOpenSlots(asked)) {
         ++mHalvings;
@@ -29,7 +31,13 @@ void DeviceExecutor::openSlots(const SlotNeed& need)
     }
     mSlotBytes = asked.bytes;
     if (mDevice->isSimulated()) return;
-    for (std::size_t s = 0; s < mSlots.size(); ++s) mThreads.push_back(mCrew.jobs.addThread());
+    try {
+        for (std::size_t s = 0; s < mSlots.size(); ++s) mThreads.push_back(mCrew.jobs.addThread());
+    } catch (const std::system_error& error) {
+        mSlots.clear();
+        mDevice->releaseAll();
+        throw DeviceError(std::string("no thread could be started for its slots: ") + error.what());
+    }
 }
 
 // False when there is not so much memory. Throws DeviceError. Nothing is held after either.

@@ -85,8 +85,9 @@ public:
     // The device itself, once nothing flies; after that, only what has been measured is left.
     std::unique_ptr<BlockDevice> close() { return std::move(mDevice); }
 
-    bool isSimulated() const { return mDevice->isSimulated(); }
-    std::uint64_t peakBytes() const { return mDevice->peakBytes(); }
+    // One that could not be opened, a null device, has no slots, and no times of its own.
+    bool isSimulated() const { return !mDevice || mDevice->isSimulated(); }
+    std::uint64_t peakBytes() const { return mDevice ? mDevice->peakBytes() : 0; }
 
     // There is a slot for it.
     void begin(RunBlock block);

@@ -162,9 +162,12 @@ std::uint64_t EngineState::allowRows(const SearchRun& run, const SearchOptions& 
     result.rowCount.resizeDiscarding(particles);
     if (result.encoding == Encoding::kIndex) result.rowBegin.resizeDiscarding(particles);
     const std::uint64_t held = run.grid.bytes() + result.rowCount.usedBytes() + result.rowBegin.usedBytes();
-    const std::uint64_t free = options.hostMemoryBytes
-                                   ? options.hostMemoryBytes - std::min(held, options.hostMemoryBytes)
-                                   : availableMemoryBytes() + pool.freeBytes();
+    std::uint64_t free = options.hostMemoryBytes
+                             ? options.hostMemoryBytes - std::min(held, options.hostMemoryBytes)
+                             : availableMemoryBytes() + pool.freeBytes();
+    if (!options.hostMemoryBytes) {
+        for (const OpenedDevice& opened : devices) free += opened.hostBytes;
+    }
     if (otherBytes > free) {
         throw CapacityError("the slots of the devices need " + gigabytes(otherBytes) +
                                 " of host memory, allowed are " + gigabytes(free) +

@@ -45,6 +45,7 @@ CapacityError listsDoNotFit(Encoding encoding, bool counted, std::uint64_t neede
 struct OpenedDevice {
     DeviceLimits limits;
     std::unique_ptr<BlockDevice> device;
+    std::uint64_t hostBytes; // staging memory that it holds
 };
 
 struct EngineState {

@@ -151,18 +151,26 @@ void ScheduleRunner::execute(const std::vector<DeviceLimits>& devices, const Dev
 
 void ScheduleRunner::openDevices(const std::vector<DeviceLimits>& devices, const DeviceMaker& makeDevice)
 {
+    std::vector<std::unique_ptr<BlockDevice>> opened;
+    for (const DeviceLimits& limits : devices) opened.push_back(takeOpened(mEngine.devices, limits));
+    mEngine.devices.clear(); // what this run has no use for, before anything new takes its memory
     std::vector<std::uint64_t> budgets;
     for (const DeviceLimits& limits : devices) {
-        std::unique_ptr<BlockDevice> opened = takeOpened(mEngine.devices, limits);
-        if (!opened) opened = makeDevice(limits, mRun, mEngine.states);
+        DeviceRun& report = mReport.devices[mLimits.size()];
+        std::unique_ptr<BlockDevice>& known = opened[mLimits.size()];
+        try {
+            if (!known) known = makeDevice(limits, mRun, mEngine.states);
+        } catch (const DeviceError& error) {
+            if (mOptions.onFailure == DeviceFailure::kStop) throw;
+            report.failure = error.what();
+        }
         DeviceExecutor& device = mDevices.emplace_back(
-            std::move(opened), FlightCrew{mEngine, mRun, mSchedule.model, mCollector, mCpu, mTally, mJobs});
-        openSlots(device, slotNeedOf(mSchedule, limits), mReport.devices[mLimits.size()]);
+            std::move(known), FlightCrew{mEngine, mRun, mSchedule.model, mCollector, mCpu, mTally, mJobs});
+        openSlots(device, slotNeedOf(mSchedule, limits), report);
         budgets.push_back(device.slotBytes());
         mLimits.push_back(limits);
         mLimits.back().slots = std::max(1, static_cast<int>(device.slotCount()));
     }
-    mEngine.devices.clear(); // what this run has no use for
     ScheduleOptions options = mOptions.schedule;
     options.useCpu = options.useCpu && !mSchedule.inCore;
     mDispatcher.emplace(mLimits, budgets, options);
@@ -318,8 +326,11 @@ void ScheduleRunner::settleOldest(std::size_t device)
     if (!mDevices[device].isSimulated()) measure(device, *flight);
     if (flight->flown.overflowed) {
         ++mReport.overflows;
-        block.undecidedPerQuery =
-            static_cast<double>(flight->flown.head.undecided) / static_cast<double>(block.queries());
+        // Without room for rows they may not have been listed at all.
+        if (flight->flown.head.undecided > 0) {
+            block.undecidedPerQuery =
+                static_cast<double>(flight->flown.head.undecided) / static_cast<double>(block.queries());
+        }
         split(block, {flight->counts.data(), block.part.firstSlot});
         return;
     }
@@ -367,8 +378,8 @@ void ScheduleRunner::writeReport()
         DeviceRun& report = mReport.devices[d];
         report.peakBytes = mDevices[d].peakBytes();
         report.busySeconds = mDispatcher->deviceSeconds(static_cast<int>(d));
+        isVirtual = isVirtual && mDevices[d].isSimulated() && mLimits[d].kind != DeviceKind::kCuda;
         if (mDevices[d].isSimulated()) continue;
-        isVirtual = false;
         const DeviceWork& work = mDevices[d].work();
         report.busySeconds = work.times.searchSeconds;
         report.uploadSeconds = work.times.uploadSeconds;
@@ -388,7 +399,8 @@ void ScheduleRunner::keepDevices(const std::vector<DeviceLimits>& devices)
 {
     for (std::size_t d = 0; d < mDevices.size(); ++d) {
         if (mDevices[d].isSimulated() || !mReport.devices[d].failure.empty()) continue;
-        mEngine.devices.push_back({devices[d], mDevices[d].close()});
+        const std::uint64_t hostBytes = mDevices[d].slotCount() * mDevices[d].slotBytes();
+        mEngine.devices.push_back({devices[d], mDevices[d].close(), hostBytes});
     }
 }
 

@@ -17,6 +17,11 @@ SearchEngine::~SearchEngine() = default;
 SearchEngine::SearchEngine(SearchEngine&&) noexcept = default;
 SearchEngine& SearchEngine::operator=(SearchEngine&&) noexcept = default;
 
+void SearchEngine::releaseDevices()
+{
+    mImpl->devices.clear();
+}
+
 const SearchStatistics& SearchEngine::statistics() const
 {
     return mImpl->statistics;

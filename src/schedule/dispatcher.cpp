@@ -2,6 +2,7 @@
 #include "schedule/dispatcher.h"
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 namespace vdb_nns {
@@ -62,8 +63,16 @@ double Dispatcher::addCpuTests(std::uint64_t tests)
 void Dispatcher::observe(int device, double seconds, const Rates& rates)
 {
     const auto d = static_cast<std::size_t>(device);
-    mDevices[d].rates = rates;
     mClocks[d].observe(seconds, rates);
+    // What is left is added up again, a pass over the blocks, only where it would come out different.
+    const auto moved = [](double before, double now) { return !(std::fabs(now - before) < 0.05 * before); };
+    Rates& known = mDevices[d].rates;
+    if (!moved(known.testsPerSecond, rates.testsPerSecond) &&
+        !moved(known.uploadBytesPerSecond, rates.uploadBytesPerSecond) &&
+        !moved(known.downloadBytesPerSecond, rates.downloadBytesPerSecond)) {
+        return;
+    }
+    known = rates;
     mLeft = 0;
     for (const Item& item : mItems) mLeft += shareOf(item);
 }

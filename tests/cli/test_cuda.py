@@ -82,6 +82,14 @@ class Devices(CudaCase):
             self.fails(5, "search", path, "--device", device, says=["--device " + device, "--device cpu"], env=machine())
             self.fails(5, "plan", path, "--device", device, says=["--device " + device], env=machine())
 
+    def test_a_full_device_is_left_out(self):
+        path = self.scene("block", 2000)
+        out = self.path("lists.npz")
+        self.fails(5, "search", path, "--device", "cuda", says=["no memory free"], env=machine(64))
+        self.assertEqual(self.search(path, out, env=machine(64))["devices"][0]["kind"], "cpu")
+        done = self.succeeds("search", path, "-o", out, "-f", env=machine(64, 512))
+        self.assertIn("left out: CUDA device 0", done.err)
+
     def test_memory_that_is_not_there_makes_smaller_blocks(self):
         path = self.scene("block", 20000)
         plain, out = self.path("plain.npz"), self.path("cuda.npz")

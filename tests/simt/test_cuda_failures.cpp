@@ -96,6 +96,44 @@ TEST(CudaFailures, MemoryIsKeptForTheNextRun)
     EXPECT_EQ(simt::liveAllocations(), 0u);
 }
 
+// What is kept makes way for what is needed: a scene that grew from one block to several, a budget that changed on a device
+// that is nearly full.
+TEST(CudaFailures, WhatIsKeptIsNotInTheWay)
+{
+    const SceneGrid smaller("block", 5000);
+    const EstimatedGrid small(smaller.grid);
+    const EstimatedGrid& large = problem();
+    constexpr std::uint64_t kDriverBytes = std::uint64_t(64) << 20;
+    simt::resetMachine({kDriverBytes + large.need(Encoding::kMask)}, 7);
+    std::vector<DeviceLimits> devices = cudaDevices();
+    RunOptions run;
+    run.schedule.useCpu = false;
+    run.schedule.boundary = BoundaryMode::kHalo;
+    SearchEngine engine;
+    const auto search = [&](const EstimatedGrid& own) {
+        const WorkloadTree one = own.tree(Encoding::kMask, ~0ull);
+        const std::uint64_t bytes =
+            nodeBytesFor(own.grid, own.estimate, one.options.model, devices, run.schedule);
+        const Schedule schedule =
+            makeSchedule(own.grid, own.tree(Encoding::kMask, bytes), devices, run.schedule);
+        ScheduleRun report;
+        engine.search(own.grid, schedule, devices, run, report);
+        return report.halvings;
+    };
+    devices[0].memoryBytes = small.need(Encoding::kMask) + 1000;
+    EXPECT_EQ(search(small), 0u);
+    EXPECT_EQ(search(large), 0u) << "three slots instead of one";
+    EXPECT_EQ(search(small), 0u);
+    devices[0].memoryBytes = large.need(Encoding::kMask);
+    EXPECT_EQ(search(large), 0u);
+    devices[0].memoryBytes -= 16;
+    EXPECT_EQ(search(large), 0u) << "the old device is closed first";
+    const std::size_t held = simt::liveAllocations();
+    engine.releaseDevices();
+    EXPECT_LT(simt::liveAllocations(), held);
+    EXPECT_EQ(simt::liveAllocations(), 0u);
+}
+
 TEST(CudaFailures, MemoryThatIsRefusedHalvesBlocks)
 {
     for (const char* call : {"cudaMalloc", "cudaHostAlloc"}) {
@@ -137,7 +175,8 @@ TEST(CudaFailures, AFailureStopsAndNamesItsCall)
 
 TEST(CudaFailures, TheCpuTakesOverWhereItMay)
 {
-    for (const char* call : {"cudaMemcpyAsync", "cudaEventSynchronize", "launch", "cudaMalloc"}) {
+    for (const char* call : {"cudaMemcpyAsync", "cudaEventSynchronize", "launch", "cudaMalloc",
+                             "cudaStreamCreateWithFlags", "cudaEventCreateWithFlags"}) {
         SCOPED_TRACE(call);
         const Outcome outcome = searchWith(DeviceFailure::kUseCpu, 4, call, 2);
         EXPECT_FALSE(outcome.report.devices[0].failure.empty());

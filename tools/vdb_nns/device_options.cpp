@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cctype>
 #include <cmath>
+#include <cstdio>
 #include <cstdlib>
 #include <utility>
 
@@ -179,31 +180,33 @@ std::optional<std::string> numberAfter(const std::string& text, const std::strin
     return text.substr(name.size() + 1);
 }
 
+// Says which CUDA devices are not used, and why.
+std::vector<DeviceLimits> allCudaDevices()
+{
+    std::vector<std::string> leftOut;
+    std::vector<DeviceLimits> devices = cudaDevices(&leftOut);
+    for (const std::string& reason : leftOut) std::fprintf(stderr, "vdb_nns: left out: %s\n", reason.c_str());
+    return devices;
+}
+
 // The CUDA devices that `--device` asks for; throws for one that is not there.
 std::vector<DeviceLimits> cudaDevicesOf(const std::string& device)
 {
     const std::optional<std::string> number = numberAfter(device, "cuda");
     const std::uint64_t ordinal = number ? parseRange(*number, "--device cuda:N", 0, 999) : 0;
-    std::vector<DeviceLimits> devices;
     try {
-        devices = cudaDevices();
+        return number ? std::vector<DeviceLimits>{cudaDevice(static_cast<int>(ordinal))} : allCudaDevices();
     } catch (const DeviceError& error) {
         throw DeviceError("--device " + device + ": " + error.what() +
                           "; use --device cpu, or --device sim for a simulated one");
     }
-    if (!number) return devices;
-    if (ordinal >= devices.size()) {
-        throw DeviceError("--device " + device + ": there are " + std::to_string(devices.size()) +
-                          " CUDA devices, numbered from 0");
-    }
-    return {devices[ordinal]};
 }
 
-// What `auto` means: the CUDA devices of this machine, or none.
+// What `auto` means: the CUDA devices of this machine, or none. Most machines have none, so nothing is said of why.
 std::vector<DeviceLimits> anyDevices()
 {
     try {
-        return cudaDevices();
+        return allCudaDevices();
     } catch (const DeviceError&) {
         return {};
     }
