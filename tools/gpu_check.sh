@@ -6,14 +6,18 @@
 set -uo pipefail
 export LC_ALL=C VDB_NNS_REQUIRE_GPU=1
 
+usage() { sed -n '2,5s/^# \{0,1\}//p' "${BASH_SOURCE[0]}"; }
+case ${1:-} in
+-h | --help) usage; exit 0 ;;
+esac
 if [ $# -lt 1 ] || [ $# -gt 2 ] || [ -z "$1" ]; then
-    sed -n '2,5s/^# \{0,1\}//p' "${BASH_SOURCE[0]}" >&2
+    usage >&2
     exit 2
 fi
 program=$1 out=${2:-gpu_check_results} limit=${LIMIT:-900} bad=0
 # All encodings, reaches and boundaries on every distribution of points, rows that find no room, and undecided pairs.
 selection=${SELECTION:-*EveryDistribution*:*RowsThatFindNoRoom*:*ALattice*}
-if [ ! -x "$program" ]; then
+if ! { [ -f "$program" ] && [ -x "$program" ]; }; then
     echo "gpu_check.sh: there is no program '$program'" >&2
     exit 2
 fi

@@ -3,16 +3,18 @@ every row and writes its reports; tools/gpu_check.sh judges stand-ins for the te
 
 usage: test_gpu_scripts.py TOOLS_FOLDER VDB_NNS_EMULATED
 """
+import datetime
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
 import unittest
 
 KEYS = ["agreement", "kernel_mask", "kernel_index", "kernel_floor", "per_gib_index", "per_gib_mask", "link_share",
-        "end_to_end", "over_mapped", "mapped_link", "over_all_cores", "block_sizes", "cpu_and_gpu", "over_one_core",
-        "scale"]
+        "end_to_end", "over_mapped", "mapped_link", "over_all_cores", "block_sizes", "cpu_and_gpu", "index_link_share",
+        "over_one_core", "scale"]
 
 
 def gpu_bench(*args, **variables):
@@ -49,7 +51,14 @@ class GpuBench(ScriptCase):
             self.assertIsInstance(row["number"], (int, float), row)
             cells = [row[key] for key in ("what", "value", "bar", "reached", "note")]
             self.assertEqual(len([line for line in lines if [c.strip() for c in line.split("|")[1:-1]] == cells]), 1, row)
-        self.assertEqual(summary["rows"][0]["reached"], "yes")
+        by_key = {row["key"]: row for row in summary["rows"]}
+        self.assertEqual(by_key["agreement"]["reached"], "yes")
+        for key in set(KEYS) - {"agreement", "per_gib_index", "per_gib_mask"}:
+            self.assertIn("n=1", by_key[key]["note"])
+        self.assertIn("a guess", by_key["kernel_floor"]["note"])
+        self.assertNotIn("tests", by_key["kernel_floor"]["value"])
+        self.assertNotRegex(by_key["scale"]["note"], r"in [01] blocks")
+        self.check_summary(out, summary)
         reports = {}
         for name in os.listdir(out):
             if name.endswith(".json"):
@@ -61,6 +70,73 @@ class GpuBench(ScriptCase):
         self.assertGreater(mapped["kernel_gbs"], 0)
         self.assertGreater(mapped["bytes_up"], 0)
         self.assertEqual((mapped["upload_seconds"], mapped["in_core"], mapped["virtual"]), (0, True, False))
+        for name, report in reports.items():
+            for result in report.get("results", []):
+                self.assertEqual((result["device"] or {"halvings": 0})["halvings"], 0, name)
+
+    def check_summary(self, out, summary):
+        self.assertEqual(summary["device"], "SIMT emulation")
+        date = datetime.datetime.strptime(summary["date"], "%Y-%m-%dT%H:%M:%SZ")
+        self.assertLess(abs((datetime.datetime.now(datetime.timezone.utc).replace(tzinfo=None) - date).total_seconds()), 600)
+        self.assertGreater(summary["machine"]["cores"], 0)
+        self.assertGreater(summary["machine"]["memory_bytes"], 1 << 20)
+        with open(os.path.join(out, "simt-emulation-" + summary["date"][:10] + ".json")) as file:
+            self.assertEqual(json.load(file), summary)
+
+    def stand_in(self, lines):
+        path = os.path.join(self.folder, "stand in")
+        with open(path, "w") as file:
+            file.write("#!/bin/sh\n" + lines)
+        os.chmod(path, 0o755)
+        return path
+
+    def agreement(self, lines):
+        done = gpu_bench("--tiny", self.folder, VDB_NNS=self.stand_in(lines + "\nexit 0\n"))
+        with open(os.path.join(self.folder, "summary.json")) as file:
+            summary = json.load(file)
+        row = summary["rows"][0]
+        self.assertEqual((row["key"], row["reached"]), ("agreement", "no"))
+        return done, summary, row
+
+    def test_not_measured_is_no_disagreement(self):
+        done, summary, row = self.agreement('case "$*" in *sheet*) exit 4 ;; *far*) exit 5 ;; *seam*) exit 124 ;; esac')
+        self.assertEqual((done.returncode, summary["agree"], row["value"]), (0, None, "8 of 11 scenes"), done.stderr)
+        self.assertIn("not measured: sheet far seam;", row["note"])
+        self.assertNotIn("differ", row["note"])
+        self.assertEqual(summary["failed_steps"], ["agree_sheet", "agree_far", "agree_seam"])
+
+    def test_disagreement(self):
+        done, summary, row = self.agreement('case "$*" in *sheet*) exit 1 ;; *far*) exit 4 ;; esac')
+        self.assertEqual((done.returncode, summary["agree"], row["value"]), (1, False, "9 of 11 scenes"), done.stderr)
+        self.assertIn("differ: sheet; not measured: far;", row["note"])
+        self.assertIn("methods disagree: agree_sheet\n", done.stdout)
+
+    def test_a_program_that_does_not_run(self):
+        for code in (126, 127):
+            done = gpu_bench(self.folder, VDB_NNS=self.stand_in(f"echo no library >&2\nexit {code}\n"))
+            self.assertEqual(done.returncode, 2)
+            self.assertIn("does not run: no library", done.stderr)
+
+    def test_a_checkout_has_a_folder_where_the_program_would_be(self):
+        shutil.copy(os.path.join(TOOLS, "gpu_bench.sh"), self.folder)
+        os.mkdir(os.path.join(self.folder, "vdb_nns"))
+        environment = {key: value for key, value in os.environ.items() if key != "VDB_NNS"}
+        done = run(os.path.join(self.folder, "gpu_bench.sh"), [self.folder + "/results"], environment)
+        self.assertEqual(done.returncode, 2)
+        self.assertIn("VDB_NNS=build/vdb_nns tools/gpu_bench.sh results", done.stderr)
+        self.assertFalse(os.path.exists(self.folder + "/results"))
+
+    def test_methods_that_take_each_others_memory(self):
+        command = [PROGRAM, "bench", "--scene", "block", "-n", "14k", "--device", "cuda", "--device-memory", "1MB",
+                   "--repeat", "1", "--sample", "0", "--method"]
+        environment = {**os.environ, "VDB_NNS_EMULATED_DEVICES": "66"}
+        for methods, code in (("in-core-mask,blocks-mask", 0),
+                              ("in-core-mask,blocks-mask,both-halo-mask,both-auto-mask", 4)):
+            done = subprocess.run(command + [methods], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment,
+                                  universal_newlines=True, timeout=300)
+            self.assertEqual(done.returncode, code, done.stderr)
+        for said in ("both-halo-mask", "1000000 bytes", "other methods of this bench", "smaller --device-memory"):
+            self.assertIn(said, done.stderr)
 
     def test_failures_are_told(self):
         done = gpu_bench("--tiny", self.folder, VDB_NNS_EMULATED_DEVICES="")
@@ -105,6 +181,11 @@ while [ "${{1#--}}" != "$1" ]; do shift 2; done
 
     def test_bad_arguments(self):
         self.assertEqual(run("gpu_check.sh", [], os.environ).returncode, 2)
+        self.assertEqual(run("gpu_check.sh", [self.folder], os.environ).returncode, 2)
+        for flag in ("-h", "--help"):
+            done = run("gpu_check.sh", [flag], os.environ)
+            self.assertEqual((done.returncode, done.stderr), (0, ""))
+            self.assertIn("TEST_CUDA_GPU", done.stdout)
         self.assertEqual(run("gpu_check.sh", [self.folder + "/none"], os.environ).returncode, 2)
 
 

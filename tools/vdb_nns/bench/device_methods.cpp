@@ -64,8 +64,9 @@ void fillRun(const PlanReport& plan, const ScheduleRun& run, DeviceMeasures& mea
 
 class DeviceMethod : public Method {
 public:
-    DeviceMethod(const MethodSpec& spec, const SearchOptions& options, const DeviceRequest& request)
-        : mSpec(spec), mRequest(request)
+    DeviceMethod(const MethodSpec& spec, const SearchOptions& options, const DeviceRequest& request,
+                 bool isOnlyOne)
+        : mSpec(spec), mRequest(request), mIsOnlyOne(isOnlyOne)
     {
         mRun.search = options;
         mRun.search.encoding = spec.encoding;
@@ -91,6 +92,7 @@ public:
         const Stopwatch searchWatch;
         mLists = mEngine.search(grid, plan.schedule, plan.devices, mRun, run);
         result.searchSeconds = searchWatch.seconds();
+        requireBudget(plan, run);
 
         result.pairs = mLists.pairCount();
         result.structureBytes = grid.bytes();
@@ -118,8 +120,25 @@ private:
                             needed, allowed);
     }
 
+    // With half the slots it is another method than the one asked for, and in core not even that.
+    void requireBudget(const PlanReport& plan, const ScheduleRun& run) const
+    {
+        if (run.halvings == 0) return;
+        std::uint64_t asked = 0, taken = 0;
+        for (const DeviceLimits& limits : plan.devices) asked = std::max(asked, limits.memoryBytes);
+        for (const DeviceRun& device : run.devices) taken = std::max(taken, device.peakBytes);
+        const std::string others = mIsOnlyOne ? "" : "other methods of this bench, or ";
+        throw CapacityError(mSpec.name + ": " + plan.devices.front().name +
+                                " refused memory within the budget of " + std::to_string(asked) +
+                                " bytes: " + others +
+                                "other programs hold device memory; use fewer methods at a time, or a "
+                                "smaller --device-memory",
+                            asked, taken);
+    }
+
     const MethodSpec mSpec;
     const DeviceRequest mRequest;
+    const bool mIsOnlyOne; // of this bench on devices
     RunOptions mRun;
     SearchEngine mEngine;
 };
@@ -178,6 +197,8 @@ BenchDevices benchDevices(const DeviceFlags& flags, const std::vector<MethodSpec
             " runs on a device, and this machine has none; use --device sim for a simulated one");
     }
     if (!flags.deviceMemory.empty()) devices.budgetBytes = parseSize(flags.deviceMemory, "--device-memory");
+    devices.methods = static_cast<std::size_t>(
+        std::count_if(methods.begin(), methods.end(), [](const MethodSpec& m) { return m.onDevice(); }));
     return devices;
 }
 
@@ -193,7 +214,7 @@ std::unique_ptr<Method> makeDeviceMethod(const MethodSpec& spec, const SearchOpt
         device.mapped = spec.place == MethodPlace::kMapped;
         if (spec.hasBudget() && devices.budgetBytes) device.memoryBytes = *devices.budgetBytes;
     }
-    return std::make_unique<DeviceMethod>(spec, options, request);
+    return std::make_unique<DeviceMethod>(spec, options, request, devices.methods == 1);
 }
 
 } // namespace vdb_nns::cli

@@ -15,6 +15,7 @@ namespace vdb_nns::cli {
 struct BenchDevices {
     DeviceRequest request;
     std::optional<std::uint64_t> budgetBytes;
+    std::size_t methods = 0; ///< that run on them; each keeps its memory until the end
 };
 
 /// Refuses flags that contradict the methods or would do nothing. Opens nothing.
@@ -25,7 +26,8 @@ void checkDeviceFlags(const DeviceFlags& flags, const std::vector<MethodSpec>& m
 /// @throws InvalidInput, DeviceError
 BenchDevices benchDevices(const DeviceFlags& flags, const std::vector<MethodSpec>& methods, int threads);
 
-/// Its runs throw CapacityError where it is to be in core and is not, and what SearchEngine::search() throws.
+/// Its runs throw CapacityError where it is to be in core and is not, and where a device had less memory than its budget; and
+/// what SearchEngine::search() throws.
 std::unique_ptr<Method> makeDeviceMethod(const MethodSpec& spec, const SearchOptions& options,
                                          const BenchDevices& devices);
 
