@@ -47,9 +47,9 @@ struct ScheduleRun {
     std::uint64_t halvings = 0; ///< a device's memory was refused and half of it asked for
     std::uint64_t tooLargeQueries = 0;     ///< of the CPU's: 32 of them with their candidates fit no device
     std::vector<std::uint64_t> blockPairs; ///< pairs found, by block of the schedule
-    double cpuBusySeconds = 0;             ///< virtual
+    double cpuBusySeconds = 0;             ///< a worker; virtual where all devices are simulated, as the next
     double collectSeconds = 0;             ///< of all threads together, measured: rows of blocks into lists
-    double seconds = 0;                    ///< virtual: when the last of all was done
+    double seconds = 0;                    ///< when the last of all was done
 };
 
 /// The CUDA devices that this process sees and can use, in the order of the runtime, with the memory that is free now: what a

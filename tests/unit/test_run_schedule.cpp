@@ -29,25 +29,6 @@ std::string nameOf(Encoding encoding)
     return encoding == Encoding::kMask ? "mask" : encoding == Encoding::kIndex ? "index" : "none";
 }
 
-// Every list in its order, and the counts.
-void expectSameLists(const NeighborLists& actual, const NeighborLists& expected)
-{
-    ASSERT_EQ(actual.size(), expected.size());
-    ASSERT_EQ(actual.encoding(), expected.encoding());
-    EXPECT_EQ(actual.counts(), expected.counts());
-    EXPECT_EQ(actual.pairCount(), expected.pairCount());
-    EXPECT_EQ(actual.statistics().isolated, expected.statistics().isolated);
-    EXPECT_EQ(actual.statistics().max, expected.statistics().max);
-    if (actual.encoding() == Encoding::kNone) return;
-    EXPECT_EQ(actual.checksum(), expected.checksum());
-    std::vector<std::uint32_t> a, b;
-    for (std::size_t i = 0; i < actual.size(); ++i) {
-        actual.neighbors(i, a);
-        expected.neighbors(i, b);
-        ASSERT_EQ(a, b) << "particle " << i;
-    }
-}
-
 // A grid, its estimate and its true lists.
 struct Case : EstimatedGrid {
     using EstimatedGrid::EstimatedGrid;

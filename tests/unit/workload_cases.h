@@ -11,6 +11,7 @@
 #include <cstdint>
 #include <string>
 #include <utility>
+#include <vector>
 
 namespace vdb_nns::testing {
 
@@ -83,6 +84,25 @@ struct EstimatedGrid {
     SparseGrid grid;
     WorkEstimate estimate;
 };
+
+// Every list in its order, and the counts.
+inline void expectSameLists(const NeighborLists& actual, const NeighborLists& expected)
+{
+    ASSERT_EQ(actual.size(), expected.size());
+    ASSERT_EQ(actual.encoding(), expected.encoding());
+    EXPECT_EQ(actual.counts(), expected.counts());
+    EXPECT_EQ(actual.pairCount(), expected.pairCount());
+    EXPECT_EQ(actual.statistics().isolated, expected.statistics().isolated);
+    EXPECT_EQ(actual.statistics().max, expected.statistics().max);
+    if (actual.encoding() == Encoding::kNone) return;
+    EXPECT_EQ(actual.checksum(), expected.checksum());
+    std::vector<std::uint32_t> a, b;
+    for (std::size_t i = 0; i < actual.size(); ++i) {
+        actual.neighbors(i, a);
+        expected.neighbors(i, b);
+        ASSERT_EQ(a, b) << "particle " << i;
+    }
+}
 
 // check(set, grid) for every distribution and reach.
 template <typename Check>

@@ -43,7 +43,8 @@ int explainException(const Session& session)
     } catch (const InputError& e) {
         return printError(session, e.what()), kBadInput;
     } catch (const CapacityError& e) {
-        printError(session, std::string(e.what()) + "; the flags are --host-memory, --encoding and --radius");
+        printError(session, std::string(e.what()) +
+                                "; the flags are --host-memory, --device-memory, --encoding and --radius");
         return kNoRoom;
     } catch (const std::bad_alloc&) {
         printError(session,
