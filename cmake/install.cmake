@@ -10,6 +10,7 @@ if(NOT BUILD_SHARED_LIBS) # a shared vdb_nns has the device layer inside
 endif()
 if(TARGET vdb_nns_cli)
     install(TARGETS vdb_nns_cli)
+    install(DIRECTORY "${PROJECT_BINARY_DIR}/share/vdb_nns" DESTINATION "${CMAKE_INSTALL_DATADIR}")
 endif()
 install(DIRECTORY "${PROJECT_SOURCE_DIR}/include/vdb_nns" "${PROJECT_BINARY_DIR}/generated/include/vdb_nns"
     DESTINATION "${CMAKE_INSTALL_INCLUDEDIR}" FILES_MATCHING PATTERN "*.h")

@@ -31,6 +31,7 @@ install(RUNTIME_DEPENDENCY_SET portable_libraries
     POST_EXCLUDE_REGEXES "/libvdb_nns\\.so"
     LIBRARY DESTINATION lib/vdb_nns ${portable})
 install(PROGRAMS "${PROJECT_SOURCE_DIR}/tools/gpu_bench.sh" DESTINATION bin ${portable})
+install(DIRECTORY "${PROJECT_BINARY_DIR}/share/vdb_nns" DESTINATION share ${portable})
 install(CODE "set(library_architecture \"${CMAKE_LIBRARY_ARCHITECTURE}\")" ${portable})
 install(SCRIPT "${PROJECT_SOURCE_DIR}/cmake/package_libraries.cmake" ${portable})
 

@@ -7,7 +7,7 @@ set -euo pipefail
 
 packages=(g++ cmake ninja-build git
           libopenvdb-dev libtbb-dev libboost-dev libeigen3-dev zlib1g-dev
-          libcli11-dev nlohmann-json3-dev libgtest-dev)
+          libcli11-dev nlohmann-json3-dev libgtest-dev libnanoflann-dev)
 if [ "${1:-}" = --tests ]; then
     packages+=(clang clang-format libboost-context-dev python3 python3-numpy python3-scipy python3-matplotlib)
 elif [ $# -gt 0 ]; then

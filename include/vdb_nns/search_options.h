@@ -27,10 +27,14 @@ struct SearchOptions {
     /// How results are held.
     Encoding encoding = Encoding::kIndex;
 
-    /// Cells that a radius spans, 1 to 3: the cell edge is radius / reach, a hair wider. 2 makes masks smaller.
+    static constexpr double kSmallestCell = 0.33, kLargestCell = 4;
+
+    /// Cell edge in radii, kSmallestCell to kLargestCell; a hair is added to it. The radius spans the next whole number of
+    /// cells, 1 to 3 (SparseGrid::reach()). 0.5 makes masks smaller.
     /// 0: as suits the input. That is the voxels of a VDB grid where they serve as cells (a transform that does nothing
-    /// but scale, radius between half a voxel's edge and one, every offset P within 1/2), which saves the sort; else 1.
-    int reach = 0;
+    /// but scale, radius between half a voxel's edge and one, every offset P within 1/2), which saves the sort; else
+    /// chosen by how dense the particles are.
+    double cellSize = 0;
 
     NonFinite nonfinite = NonFinite::kSkip;
 

@@ -28,9 +28,10 @@ std::string gigabytes(std::uint64_t bytes)
 
 void checkOptions(const SearchOptions& options)
 {
-    if (options.reach < 0 || options.reach > 3) {
-        throw InvalidInput("a reach of " + std::to_string(options.reach) +
-                           " cells is not supported: use 1, 2 or 3, or 0 to have it chosen");
+    const double size = options.cellSize;
+    if (size != 0 && !(size >= SearchOptions::kSmallestCell && size <= SearchOptions::kLargestCell)) {
+        throw InvalidInput("cells of " + std::to_string(size) +
+                           " radii are not supported: use 0.33 to 4, or 0 to have it chosen");
     }
     if (options.simd != SimdLevel::kBest &&
         static_cast<int>(options.simd) > static_cast<int>(bestSimdLevel())) {

@@ -10,17 +10,17 @@
 
 namespace vdb_nns {
 
-CellMap::CellMap(const ParticleSource& source, double radius, int reach, SimdLevel simd)
+CellMap::CellMap(const ParticleSource& source, double radius, double cellsPerRadius, SimdLevel simd)
     : reference(source.reference()),
       mRadius(radius),
-      mReach(reach),
+      mCellsPerRadius(cellsPerRadius),
       mIsArray(source.isArray()),
       mLocateAxis(kernelsFor(simd).locateAxis)
 {
     // Where the reciprocal would leave the normal numbers, cells are wider than they need be, which is always correct.
     cellsPerUnit = radius > 1e300    ? std::ldexp(1.0, -1025)
                    : radius < 1e-290 ? 1e289
-                                     : reach / (radius * (1 + kHair));
+                                     : cellsPerRadius / (radius * (1 + kHair));
     for (int k = 0; k < 3; ++k) {
         for (int c = 0; c < 3; ++c) mMatrix[k][c] = source.linear()[k][c] * cellsPerUnit;
     }
@@ -81,7 +81,7 @@ InputError CellMap::rangeError(const ParticleSource& source, double coordinateEr
     }
     // A little more than needed, so that no rounding of the text undoes it.
     constexpr double kMore = 1.001;
-    double smallest = extent * (mReach / kLimit) * kMore;
+    double smallest = extent * (mCellsPerRadius / kLimit) * kMore;
     std::ostringstream text;
     text.precision(9);
     text << "the particles reach " << extent << " world units from the middle, " << (extent * cellsPerUnit)
@@ -90,8 +90,9 @@ InputError CellMap::rangeError(const ParticleSource& source, double coordinateEr
         // With a radius f times as large the bound is at most coordinateError / f, and what rounding up to leaves adds.
         constexpr double kLeaf[3] = {8, 8, 8};
         const double left = kMaxErrorCells - errorCells(kLeaf);
-        smallest = left > 0 ? std::max(smallest, mReach / cellsPerUnit * (coordinateError / left) * kMore)
-                            : std::numeric_limits<double>::infinity();
+        smallest = left > 0
+                       ? std::max(smallest, mCellsPerRadius / cellsPerUnit * (coordinateError / left) * kMore)
+                       : std::numeric_limits<double>::infinity();
         text << "the transform is so nearly singular there that a cell coordinate may be wrong by "
              << coordinateError << " cells, the limit is " << kMaxErrorCells;
     } else {

@@ -9,10 +9,10 @@
 // so at most 6 relative roundings of u = 2^-53 of sum |m| |c|; 7 u covers their products. What follows, t - 8 leaf - 4,
 // is exact to 2^-51.
 //
-// A cell is a hair wider than radius / reach: two particles within the radius differ by at most radiusCells in tau, so
-// by radiusCells + 2 (E + 2^-23 + 2^-22 + 2^-21) in the coordinate that decides the cell (t rounded to float about the
-// leaf's centre, then cellInLeaf). radiusCells = reach / (1 + 2^-16), so with E <= 6.7e-6 that is below reach, and their
-// cells differ by at most reach: no pair is lost at a cell face.
+// A cell is a hair wider than radius / cellsPerRadius: two particles within the radius differ by at most radiusCells in tau,
+// so by radiusCells + 2 (E + 2^-23 + 2^-22 + 2^-21) in the coordinate that decides the cell (t rounded to float about the
+// leaf's centre, then cellInLeaf). radiusCells = cellsPerRadius / (1 + 2^-16) with cellsPerRadius <= reach, so with E <= 6.7e-6
+// that is below reach, and their cells differ by at most reach: no pair is lost at a cell face.
 #pragma once
 
 #include "execute/kernels.h"
@@ -28,7 +28,7 @@ struct CellMap {
     static constexpr double kMaxErrorCells = 6.7e-6;
     static constexpr double kLimit = 2147483648.0 - 4096; // cell coordinates stay inside
 
-    CellMap(const ParticleSource& source, double radius, int reach, SimdLevel simd);
+    CellMap(const ParticleSource& source, double radius, double cellsPerRadius, SimdLevel simd);
 
     static constexpr std::size_t kBatch =
         512; // particles: what locate() works on stays in the first-level cache
@@ -62,7 +62,7 @@ private:
     }
 
     double mRadius;
-    int mReach;
+    double mCellsPerRadius;
     Matrix3 mMatrix; // linear * cellsPerUnit
     Matrix3 mSpread; // |mMatrix| |its inverse|
     bool mIsArray;

@@ -10,8 +10,8 @@
 
 #include "grid/cell_map.h"
 #include "grid/file_leaves.h"
-#include "grid/leaf_table.h"
 #include "grid/leaves_in_reach-inl.h"
+#include "grid/placement.h"
 #include "grid/sparse_grid_data.h"
 #include "particles/particle_source.h"
 #include "util/cancel.h"
@@ -34,143 +34,6 @@ namespace vdb_nns {
 namespace {
 
 constexpr std::size_t kBatch = CellMap::kBatch;
-constexpr std::size_t kSmallestChunk =
-    32768; // below, a chunk's table of leaves costs more than the parallelism gains
-
-struct Chunk {
-    std::size_t begin = 0, end = 0;
-    LeafTable leaves;
-    std::vector<std::uint32_t> cursor; // by local leaf: next slot to write
-    std::uint64_t nonfinite = 0;
-    bool outOfRange = false;
-};
-
-std::vector<Chunk> makeChunks(std::size_t count)
-{
-    const std::size_t threads = static_cast<std::size_t>(tbb::this_task_arena::max_concurrency());
-    const std::size_t chunks = std::max<std::size_t>(1, std::min(4 * threads, count / kSmallestChunk));
-    std::vector<Chunk> result(chunks);
-    for (std::size_t c = 0; c < chunks; ++c) {
-        result[c].begin = count * c / chunks;
-        result[c].end = count * (c + 1) / chunks;
-    }
-    return result;
-}
-
-// Of a batch with particles out of range: counts the non-finite ones, notes whether there are others.
-void sortOut(const CellMap& map, const double (*stored)[kBatch], std::size_t count, Chunk& chunk)
-{
-    for (std::size_t i = 0; i < count; ++i) {
-        const double x = stored[0][i], y = stored[1][i], z = stored[2][i];
-        if (map.inRange(x, y, z)) continue;
-        if (std::isfinite(x) && std::isfinite(y) && std::isfinite(z)) {
-            chunk.outOfRange = true;
-        } else {
-            ++chunk.nonfinite;
-        }
-    }
-}
-
-void locateChunk(const ParticleSource& source, const CellMap& map, Chunk& chunk, std::uint32_t* leafOf,
-                 const CancelCheck& cancel)
-{
-    double stored[3][kBatch];
-    CellMap::Located at;
-    for (std::size_t begin = chunk.begin; begin < chunk.end; begin += kBatch) {
-        if (begin / kBatch % 64 == 0) cancel.check();
-        const std::size_t n = std::min(kBatch, chunk.end - begin);
-        source.read(begin, n, map.reference, stored[0], stored[1], stored[2]);
-        const bool allInRange = map.locate(stored, n, at);
-        const auto valid = [&](std::size_t i) {
-            return allInRange || map.inRange(stored[0][i], stored[1][i], stored[2][i]);
-        };
-        std::uint32_t number = kNoLeaf;
-        for (std::size_t i = 0; i < n;) {
-            // Neighbors in the input are often neighbors in space: a run in one leaf costs one look-up.
-            const std::int32_t x = at.leaf[0][i], y = at.leaf[1][i], z = at.leaf[2][i];
-            if (!valid(i)) {
-                leafOf[begin + i++] = kNoLeaf;
-                continue;
-            }
-            number = chunk.leaves.numberOf(x, y, z);
-            const std::size_t first = i;
-            do {
-                leafOf[begin + i++] = number;
-            } while (i < n && at.leaf[0][i] == x && at.leaf[1][i] == y && at.leaf[2][i] == z && valid(i));
-            chunk.leaves.add(number, static_cast<std::uint32_t>(i - first));
-        }
-        if (!allInRange) sortOut(map, stored, n, chunk);
-    }
-}
-
-// Leaves of all chunks in Morton order; sets the chunks' cursors and the leaves' first slots.
-void mergeLeaves(std::vector<Chunk>& chunks, SparseGridData& grid)
-{
-    struct Entry {
-        std::uint64_t key;
-        std::uint32_t chunk, local;
-    };
-    RootOrder roots;
-    std::vector<std::size_t> firstEntry(1, 0);
-    for (const Chunk& chunk : chunks) {
-        for (std::uint32_t l = 0; l < chunk.leaves.size(); ++l) roots.add(chunk.leaves.leaf(l));
-        firstEntry.push_back(firstEntry.back() + chunk.leaves.size());
-    }
-    roots.finish();
-    std::vector<Entry> entries(firstEntry.back());
-    tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t c) {
-        const LeafTable& leaves = chunks[c].leaves;
-        Entry* const out = entries.data() + firstEntry[c];
-        for (std::uint32_t l = 0; l < leaves.size(); ++l) {
-            out[l] = {roots.key(leaves.leaf(l)), static_cast<std::uint32_t>(c), l};
-        }
-        chunks[c].cursor.resize(leaves.size());
-    });
-    tbb::parallel_sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) {
-        return a.key != b.key ? a.key < b.key : a.chunk < b.chunk;
-    });
-    // In parts: what each begins with is known once the leaves and particles of those before it are counted.
-    struct Part {
-        std::size_t begin, end, leaves;
-        std::uint32_t particles;
-    };
-    const std::size_t partCount = 4 * static_cast<std::size_t>(tbb::this_task_arena::max_concurrency());
-    std::vector<Part> parts(partCount);
-    const auto isFirst = [&](std::size_t e) { return e == 0 || entries[e].key != entries[e - 1].key; };
-    tbb::parallel_for(std::size_t(0), partCount, [&](std::size_t p) {
-        Part part{entries.size() * p / partCount, entries.size() * (p + 1) / partCount, 0, 0};
-        for (std::size_t e = part.begin; e < part.end; ++e) {
-            part.leaves += isFirst(e);
-            part.particles += chunks[entries[e].chunk].leaves.count(entries[e].local);
-        }
-        parts[p] = part;
-    });
-    std::size_t leafCount = 0;
-    std::uint32_t particles = 0;
-    for (Part& part : parts) {
-        leafCount += std::exchange(part.leaves, leafCount);
-        particles += std::exchange(part.particles, particles);
-    }
-    grid.leafOrigins.resize(leafCount);
-    grid.leaves.resize(leafCount + 1);
-    tbb::parallel_for(std::size_t(0), partCount, [&](std::size_t p) {
-        std::size_t leaf = parts[p].leaves;
-        std::uint32_t slot = parts[p].particles;
-        for (std::size_t e = parts[p].begin; e < parts[p].end; ++e) {
-            Chunk& chunk = chunks[entries[e].chunk];
-            const std::uint32_t local = entries[e].local;
-            if (isFirst(e)) {
-                const Vec3i& at = chunk.leaves.leaf(local);
-                grid.leafOrigins[leaf] = {at[0] * 8, at[1] * 8, at[2] * 8};
-                grid.leaves[leaf++] = {slot, 0, nullptr};
-            }
-            chunk.cursor[local] = slot;
-            slot += chunk.leaves.count(local);
-        }
-    });
-    grid.leaves[leafCount] = {particles, 0, nullptr};
-    for (Chunk& chunk : chunks) chunk.leaves = LeafTable(); // scattering needs the cursors alone
-}
 
 void scatterChunk(const ParticleSource& source, const CellMap& map, Chunk& chunk, const std::uint32_t* leafOf,
                   GridScratch::Record* records, const CancelCheck& cancel)
@@ -267,41 +130,6 @@ void sortCells(GridScratch& scratch, SparseGridData& grid, CheckCells&& checkCel
 // Coordinates and number.
 constexpr std::uint64_t kBytesPerParticle = 3 * sizeof(float) + sizeof(std::uint32_t);
 
-CapacityError gridDoesNotFit(std::size_t particles, std::size_t leaves, std::uint64_t needed,
-                             std::uint64_t allowed)
-{
-    return CapacityError("the grid of " + std::to_string(particles) + " particles in " +
-                             std::to_string(leaves) + " leaves needs at least " + std::to_string(needed) +
-                             " bytes while it is made, allowed are " + std::to_string(allowed) +
-                             ": allow more host memory, or search a part of the particles at a time",
-                         needed, allowed);
-}
-
-struct Located {
-    std::uint64_t nonfinite = 0;
-    bool outOfRange = false;
-};
-
-// `mostBytes`: of the leaves that all chunks find. Particles in no order have each leaf in every chunk.
-Located locate(const ParticleSource& source, const CellMap& map, std::vector<Chunk>& chunks,
-               std::uint32_t* leafOf, std::uint64_t mostBytes, const CancelCheck& cancel)
-{
-    std::atomic<std::uint64_t> bytes{0};
-    tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t c) {
-        LeafTable& leaves = chunks[c].leaves;
-        locateChunk(source, map, chunks[c], leafOf, cancel);
-        leaves.finish();
-        const std::uint64_t sum = bytes += leaves.bytes();
-        if (sum > mostBytes) throw gridDoesNotFit(source.size(), leaves.size(), sum, mostBytes);
-    });
-    Located all;
-    for (const Chunk& chunk : chunks) {
-        all.nonfinite += chunk.nonfinite;
-        all.outOfRange |= chunk.outOfRange;
-    }
-    return all;
-}
-
 // Bound on the error of cell coordinates, from the extent of the leaves.
 double coordinateErrorOf(const CellMap& map, const std::vector<Vec3i>& leafOrigins)
 {
@@ -329,38 +157,40 @@ void buildSparseGrid(const ParticleView& view, double radius, const SearchOption
 {
     const ParticleSource& source = view.source();
     const CancelCheck cancel(options.progress, "grid");
-    if (options.reach == 0 && takeOverLeaves(view, radius, options, grid)) return;
-    const int reach = std::max(options.reach, 1);
-    CellMap map(source, radius, reach, options.simd);
-    std::vector<Chunk> chunks = makeChunks(source.size());
+    if (options.cellSize == 0 && takeOverLeaves(view, radius, options, grid)) return;
     scratch.leafOf.resizeDiscarding(source.size());
-    const std::uint64_t most =
-        options.hostMemoryBytes ? options.hostMemoryBytes : std::numeric_limits<std::uint64_t>::max();
-    Located located = locate(source, map, chunks, scratch.leafOf.data(), most, cancel);
-    if (located.outOfRange && source.isArray()) {
-        // Far from the origin: count cells from the middle of the particles instead, and try once more.
-        const Bounds bounds = boundsOf(source, Vec3d{});
-        for (int k = 0; k < 3; ++k) map.reference[k] = bounds.low[k] / 2 + bounds.high[k] / 2;
-        chunks = makeChunks(source.size());
-        located = locate(source, map, chunks, scratch.leafOf.data(), most, cancel);
-    }
-    if (located.outOfRange) throw map.rangeError(source, 0);
-    if (located.nonfinite > 0 && options.nonfinite == NonFinite::kFail) {
-        throw InputError(std::to_string(located.nonfinite) + " of " + std::to_string(source.size()) +
-                         " particles have a position that is NaN or infinite: repair them or skip them");
+    CellChoice cells = cellsOfSize(options.cellSize > 0 ? options.cellSize : 1);
+    const auto place = [&] {
+        Placement placed = placeParticles(source, radius, cells, options, scratch.leafOf.data(), cancel);
+        if (placed.nonfinite > 0 && options.nonfinite == NonFinite::kFail) {
+            throw InputError(std::to_string(placed.nonfinite) + " of " + std::to_string(source.size()) +
+                             " particles have a position that is NaN or infinite: repair them or skip them");
+        }
+        mergeLeaves(placed.chunks, grid);
+        return placed;
+    };
+    Placement placed = place();
+    // Wide cells make larger masks: not where memory is bounded.
+    if (options.cellSize == 0 && options.hostMemoryBytes == 0) {
+        const double size = chooseCellSize(source, placed, grid, scratch.leafOf.data());
+        if (size != 1) {
+            cells = cellsOfSize(size);
+            placed = place();
+        }
     }
     cancel.update(0.3);
-    mergeLeaves(chunks, grid);
+    const CellMap& map = placed.map;
+    std::vector<Chunk>& chunks = placed.chunks;
     grid.view = view;
     grid.radius = radius;
-    grid.reach = reach;
+    grid.reach = cells.reach;
     grid.cellsPerUnit = map.cellsPerUnit;
     grid.radiusCells = radius * map.cellsPerUnit;
     grid.coordinateError = coordinateErrorOf(map, grid.leafOrigins);
     if (!(grid.coordinateError <= CellMap::kMaxErrorCells)) {
         throw map.rangeError(source, grid.coordinateError);
     }
-    grid.nonfiniteCount = located.nonfinite;
+    grid.nonfiniteCount = placed.nonfinite;
     const std::size_t particles = grid.leaves.back().firstSlot;
     GridNeed need{particles, grid.leafCount(), 0, 0};
     need.heldBytes = grid.x.usedBytes() * 4 + scratch.records.usedBytes() + scratch.leafOf.usedBytes();

@@ -1,4 +1,4 @@
-// The engine against the exact oracle, on every distribution, form of input, reach, instruction set and encoding, and
+// The engine against the exact oracle, on every distribution, form of input, cell size, instruction set and encoding, and
 // under every way to read the result. The order of lists is checked as well as their contents. And the invariances: order
 // of the input, number of threads, symmetry.
 #include "agreement/point_views.h"
@@ -137,17 +137,17 @@ Lists visitedLists(SearchEngine& engine, const SparseGrid& grid, const SearchOpt
     return lists;
 }
 
-TEST_P(Agreement, EveryReachLevelAndEncodingMatchesTheOracle)
+TEST_P(Agreement, EveryCellSizeLevelAndEncodingMatchesTheOracle)
 {
     const SetView input = this->input();
     const Lists oracle = oracleLists(set());
     SearchEngine engine;
-    for (int reach = 1; reach <= 3; ++reach) {
+    for (const double cellSize : {1.0, 1.0 / 2, 1.0 / 3, 0.8, 2.0, 4.0, 0.0}) {
         Lists first; // in the order that all others must have
         for (const SimdLevel simd : simdLevels()) {
-            SCOPED_TRACE(std::string("reach ") + std::to_string(reach) + ", " + simdLevelName(simd));
+            SCOPED_TRACE("cells of " + std::to_string(cellSize) + " radii" + ", " + simdLevelName(simd));
             SearchOptions options;
-            options.reach = reach;
+            options.cellSize = cellSize;
             options.simd = simd;
             const SparseGrid grid = engine.buildGrid(input.view(), set().radius, options);
             const NeighborLists index = engine.search(grid, options);

@@ -238,7 +238,7 @@ class Flags(PlanCase):
                      ["--boundary", "gpu"], ["--boundary", ""], ["--estimator", "guess"], ["--estimator", ""],
                      ["--block-size", "0"], ["--block-size", "4"], ["--block-size", "48"], ["--block-size", "4096"],
                      ["--block-size", "-16"], ["--block-size", "16.5"], ["--block-size", "big"], ["--block-size", ""],
-                     ["--encoding", "none"], ["--encoding", "bits"], ["--nonfinite", "keep"], ["--cell-size", "2"],
+                     ["--encoding", "none"], ["--encoding", "bits"], ["--nonfinite", "keep"], ["--cell-size", "5"],
                      ["--host-memory", "0"], ["--threads", "x"]):
             device = [] if args[0] == "--device" else sim
             self.fails(2, "plan", path, "-r", "0.2", *device, *args, says=args[0])

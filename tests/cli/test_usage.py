@@ -62,7 +62,7 @@ class BadFlags(CliCase):
         path = self.scene()
         for args in (["--threads", "-1"], ["--threads", "two"], ["--threads", "1.5"], ["--threads", "1000000"],
                      ["--host-memory", "0"], ["--host-memory", "lots"], ["--host-memory", "4 G"],
-                     ["--host-memory", "4Q"], ["--host-memory", "-1G"], ["--cell-size", "0.7"], ["--cell-size", "0"],
+                     ["--host-memory", "4Q"], ["--host-memory", "-1G"], ["--cell-size", "4.5"], ["--cell-size", "0"],
                      ["--cell-size", "0.2"], ["--encoding", "bits"], ["--lists", "weights"],
                      ["--attributes", "density"], ["--attributes", ""], ["--prefix", "a b"], ["--repeat", "0"],
                      ["--nonfinite", "keep"], ["--progress", "maybe"], ["--device", "sim:0"],

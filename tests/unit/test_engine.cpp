@@ -76,7 +76,7 @@ TEST(Engine, OlderFramesStayAsTheyWere)
         inputs.push_back(std::make_unique<SetView>(frames[f], Form::kDoubles));
         SearchOptions options;
         options.encoding = f % 2 ? Encoding::kMask : Encoding::kIndex;
-        options.reach = 1 + static_cast<int>(f) % 3;
+        options.cellSize = 1.0 / (1 + static_cast<int>(f) % 3);
         NeighborLists lists = engine.findNeighbors(inputs[f]->view(), frames[f].radius, options);
         EXPECT_TRUE(sameLists(lists, oracleLists(frames[f]), frames[f]));
         if (f % 3 == 2) continue; // let go of some: their memory goes to the frames after
@@ -138,7 +138,7 @@ TEST(Engine, BadArgumentsAreRefused)
     const NeighborVisitor nobody = [](std::uint32_t, Span<const std::uint32_t>, Span<const double>) {};
     for (const int reach : {-1, 4, 1000}) {
         SearchOptions options;
-        options.reach = reach;
+        options.cellSize = 1.0 / reach;
         EXPECT_THROW(engine.buildGrid(view, 1, options), InvalidInput) << reach;
         EXPECT_THROW(visitNeighbors(view, 1, nobody, options), InvalidInput) << reach;
     }

@@ -44,7 +44,7 @@ std::uint64_t expectOracle(const PointSet& set, Form form = Form::kDoubles,
             for (const Encoding encoding : {Encoding::kIndex, Encoding::kMask, Encoding::kNone}) {
                 SearchOptions options;
                 options.encoding = encoding;
-                options.reach = reach;
+                options.cellSize = 1.0 / reach;
                 options.simd = simd;
                 const NeighborLists lists = engine.findNeighbors(input.view(), set.radius, options);
                 SCOPED_TRACE(set.name + ", reach " + std::to_string(reach) + ", " + simdLevelName(simd));
@@ -150,15 +150,16 @@ void expectRandomPairsRight(Form form, int count, std::uint64_t seed)
         const PointSet set = randomPair(random, form);
         const SetView input(set, form);
         SearchOptions options;
-        options.reach = random.integer(1, 3);
+        constexpr double kCellSizes[] = {1, 1.0 / 2, 1.0 / 3, 0.7, 1.5, 4};
+        options.cellSize = kCellSizes[random.integer(0, 5)];
         options.simd =
             levels[static_cast<std::size_t>(random.integer(0, static_cast<int>(levels.size()) - 1))];
         options.encoding = random.integer(0, 2) == 0 ? Encoding::kMask : Encoding::kIndex;
         const bool expected = withinExactly(set.points[0], set.points[1], set.linear, set.radius);
         ASSERT_EQ(areNeighbors(engine, input.view(), set.radius, options), expected)
-            << "pair " << k << ", seed " << seed << ", reach " << options.reach << ", "
-            << simdLevelName(options.simd) << ", " << describePair(set, 0, 1).ulps << " ulps from the radius "
-            << set.radius;
+            << "pair " << k << ", seed " << seed << ", cells of " << options.cellSize << " radii"
+            << ", " << simdLevelName(options.simd) << ", " << describePair(set, 0, 1).ulps
+            << " ulps from the radius " << set.radius;
         within += expected;
         beyondFilter += engine.statistics().doublePairs > 0;
         exact += engine.statistics().exactPairs > 0;

@@ -19,7 +19,7 @@ NeighborLists listsOf(const ParticleView& view, double radius, Encoding encoding
 {
     SearchOptions options;
     options.encoding = encoding;
-    options.reach = reach;
+    options.cellSize = 1.0 / reach;
     return findNeighbors(view, radius, options);
 }
 

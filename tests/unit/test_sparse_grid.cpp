@@ -3,6 +3,7 @@
 #include "agreement/point_views.h"
 #include "support/comparator.h"
 #include "vdb_nns/error.h"
+#include "vdb_nns/scene.h"
 
 #include <gtest/gtest.h>
 
@@ -11,6 +12,7 @@
 #include <random>
 #include <set>
 #include <string>
+#include <tbb/task_arena.h>
 
 namespace vdb_nns::testing {
 
@@ -21,7 +23,7 @@ constexpr double kInf = std::numeric_limits<double>::infinity();
 SparseGrid gridOf(const ParticleView& view, double radius, int reach = 1)
 {
     SearchOptions options;
-    options.reach = reach;
+    options.cellSize = 1.0 / reach;
     return SearchEngine().buildGrid(view, radius, options);
 }
 
@@ -326,7 +328,7 @@ TEST(SparseGrid, FarArraysAreCountedFromTheirMiddle)
     const Lists oracle = oracleLists(set);
     for (int reach = 1; reach <= 3; ++reach) {
         SearchOptions options;
-        options.reach = reach;
+        options.cellSize = 1.0 / reach;
         const NeighborLists lists = findNeighbors(input.view(), set.radius, options);
         expectSound(lists.grid(), set, reach);
         EXPECT_TRUE(sameLists(lists, oracle, set));
@@ -350,6 +352,72 @@ TEST(SparseGrid, CandidateTestsAreThePairsOfCellsInReach)
             }
             EXPECT_EQ(countCandidateTests(grid), tests) << set.name;
         }
+    }
+}
+
+TEST(SparseGrid, CellsAreAsWideAsAskedFor)
+{
+    struct Case {
+        double asked, size;
+        int reach;
+    };
+    for (const Case& c :
+         {Case{0.33, 1.0 / 3, 3}, Case{0.333, 1.0 / 3, 3}, Case{0.4, 0.4, 3}, Case{0.5, 0.5, 2},
+          Case{0.7, 0.7, 2}, Case{0.995, 1, 1}, Case{1, 1, 1}, Case{1.5, 1.5, 1}, Case{4, 4, 1}}) {
+        SearchOptions options;
+        options.cellSize = c.asked;
+        const std::vector<double> one = {0.25, 0.5, 0.75};
+        const SparseGrid grid =
+            SearchEngine().buildGrid(ParticleView::fromArray(one.data(), 1), 0.1, options);
+        EXPECT_EQ(grid.reach(), c.reach) << c.asked;
+        EXPECT_NEAR(grid.cellSize() / 0.1, c.size, 1e-4) << c.asked;
+        EXPECT_GE(grid.cellSize() / 0.1, c.size) << c.asked;
+    }
+    for (const double asked : {-1.0, 0.2, 4.1, kInf, std::numeric_limits<double>::quiet_NaN()}) {
+        SearchOptions options;
+        options.cellSize = asked;
+        EXPECT_THROW(SearchEngine().buildGrid(ParticleView(), 0.1, options), InvalidInput) << asked;
+    }
+}
+
+std::vector<double> shuffledTriples(std::vector<double> xyz, std::uint32_t seed)
+{
+    std::mt19937 random(seed);
+    for (std::size_t i = xyz.size() / 3 - 1; i > 0; --i) {
+        const std::size_t j = random() % (i + 1);
+        for (std::size_t k = 0; k < 3; ++k) std::swap(xyz[3 * i + k], xyz[3 * j + k]);
+    }
+    return xyz;
+}
+
+TEST(SparseGrid, CellsFollowTheDensity)
+{
+    struct Case {
+        const char* scene;
+        double radiusFactor, size;
+    };
+    for (const Case& c :
+         {Case{"block", 2, 1}, Case{"block", 1, 2}, Case{"block", 0.6, 4}, Case{"block", 6, 0.5},
+          Case{"sheet", 2, 1.5}, Case{"spray", 2, 2}, Case{"clusters", 2, 2}}) {
+        SceneOptions sceneOptions;
+        sceneOptions.name = c.scene;
+        sceneOptions.count = 60000;
+        if (std::string(c.scene) == "block") sceneOptions.radiusFactor = c.radiusFactor;
+        const Scene scene = makeScene(sceneOptions);
+        const std::size_t count = scene.positions.size() / 3;
+        SearchOptions options;
+        const auto sizeOf = [&](const std::vector<double>& xyz) {
+            const ParticleView view = ParticleView::fromArray(xyz.data(), count);
+            return SearchEngine().buildGrid(view, scene.suggestedRadius, options).cellSize() /
+                   scene.suggestedRadius;
+        };
+        SCOPED_TRACE(std::string(c.scene) + " " + std::to_string(c.radiusFactor));
+        const double size = sizeOf(scene.positions);
+        EXPECT_NEAR(size, c.size, 1e-3);
+        EXPECT_EQ(sizeOf(shuffledTriples(scene.positions, 3)), size); // whatever the order
+        tbb::task_arena(1).execute([&] { EXPECT_EQ(sizeOf(scene.positions), size); });
+        options.hostMemoryBytes = std::uint64_t(1) << 30; // wide cells make large masks
+        EXPECT_NEAR(sizeOf(scene.positions), 1, 1e-3);
     }
 }
 

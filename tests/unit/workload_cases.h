@@ -18,7 +18,7 @@ namespace vdb_nns::testing {
 inline SparseGrid gridOf(const ParticleView& view, double radius, int reach)
 {
     SearchOptions options;
-    options.reach = reach;
+    options.cellSize = reach > 0 ? 1.0 / reach : 0;
     return SearchEngine().buildGrid(view, radius, options);
 }
 

@@ -1,28 +1,33 @@
 // vdb_nns bench: speed and accuracy of every method side by side, on the same points in the same run.
-#include "bench/accuracy.h"
 #include "bench/bench_points.h"
-#include "bench/bench_report.h"
-#include "bench/device_methods.h"
-#include "bench/device_report.h"
-#include "bench/estimators.h"
-#include "bench/link.h"
-#include "bench/methods.h"
+#include "bench/chart.h"
+#include "bench/method_names.h"
+#include "bench/report/bench_report.h"
+#include "bench/report/device_report.h"
+#include "bench/stability/matrix.h"
+#include "bench/studies/method_study.h"
+#include "bench/truth.h"
 #include "cli_options.h"
 #include "command.h"
 #include "exit_codes.h"
-#include "machine.h"
 #include "numbers.h"
 #include "report.h"
 #include "text_file.h"
 #include "threads.h"
 #include "vdb_nns/error.h"
+#include "vdb_nns/search.h"
 
 #include <algorithm>
 #include <cstdio>
 #include <memory>
+#include <set>
+#include <sstream>
 
 namespace vdb_nns::cli {
 namespace {
+
+// What a benchmark can look at, in the order in which it does.
+constexpr const char* kStudies[] = {"methods", "estimators", "budgets", "resolution", "scaling", "model"};
 
 struct BenchFlags {
     CommonFlags common;
@@ -30,28 +35,27 @@ struct BenchFlags {
     EngineFlags engine;
     SceneFlags scene;
     DeviceFlags device;
-    std::string sceneName, methods, estimators, csv, pointsOut, shuffleSeed;
-    std::string repeat = "5", sample = "1000";
+    std::string sceneName, methods, studies, estimators, csv, chart, pointsOut, shuffleSeed;
+    std::string repeat = "5", sample = "auto";
+    bool stability = false;
 };
 
 struct BenchPlan {
-    std::vector<MethodSpec> methods;
+    std::set<std::string> studies;
+    std::string methods; // names; which suit is known once the points are read
     std::vector<std::string> estimators;
     SearchOptions options;
-    BenchDevices devices;
+    BenchDevices devices;      // of the methods
+    BenchDevices modelDevices; // of the studies of budgets and model: the methods', else a simulated one
     std::optional<SceneOptions> scene;
     std::optional<double> radius;
     std::optional<std::uint64_t> shuffleSeed;
-    std::uint64_t repeat = 5, sample = 1000, seed = 1;
+    TruthOptions truth;
+    std::uint64_t repeat = 5;
     int threads = 0;
-};
 
-struct MethodTimes {
-    std::vector<double> grid, search, total;
-    std::vector<DeviceMeasures> device; // empty for a method of the CPU
-    MethodRun last;
-    double first = 0;
-    std::uint64_t peakBytes = 0;
+    bool hasPoints() const { return !studies.empty(); }
+    bool has(const char* study) const { return studies.count(study) > 0; }
 };
 
 void addFlags(CLI::App& app, BenchFlags& flags)
@@ -62,18 +66,34 @@ void addFlags(CLI::App& app, BenchFlags& flags)
         ->check(notEmpty());
     addSceneFlags(app, flags.scene);
     addInputFlags(app, flags.input, true);
-    app.add_option("--method", flags.methods, methodHelp())->type_name("LIST")->check(notEmpty());
+    app.add_option("--method", flags.methods,
+                   "methods, separated by commas; default: those that suit. " + methodHelp())
+        ->type_name("LIST")
+        ->check(notEmpty());
     addDeviceTargetFlags(app, flags.device);
-    app.add_option("--estimator", flags.estimators,
-                   "estimators of the work, separated by commas, against a full count: "
-                   "paper,uncorrected,expected,sampled,counted,fixed,mask or all; default: none")
+    app.add_option(
+           "--study", flags.studies,
+           "what to look at, separated by commas: methods, estimators, budgets (memory of a device), "
+           "resolution "
+           "(cell sizes), scaling (particles, threads, radius, clustering), model (what planning takes and "
+           "saves), or all; default: methods, with --chart all")
+        ->type_name("LIST")
+        ->check(notEmpty());
+    app.add_flag(
+        "--stability", flags.stability,
+        "every method against cases where methods fail, each in a process of its own; needs no points");
+    app.add_option(
+           "--estimator", flags.estimators,
+           "estimators of the work, separated by commas, against a full count: "
+           "paper,uncorrected,expected,sampled,counted,fixed,mask, paper:SAMPLES, sampled:PERCENT or all; "
+           "default: none, with --study estimators all")
         ->type_name("LIST")
         ->check(notEmpty());
     app.add_option("--repeat", flags.repeat, "timed runs of each method, interleaved, after one warm-up")
         ->type_name("N")
         ->capture_default_str();
     app.add_option("--sample", flags.sample,
-                   "queries checked against all points by the independent search; 0: none")
+                   "queries compared with the truth; auto: all where that takes seconds, else 1000; 0: none")
         ->type_name("N")
         ->capture_default_str();
     app.add_option("--shuffle", flags.shuffleSeed, "put the particles in random order first")
@@ -82,42 +102,98 @@ void addFlags(CLI::App& app, BenchFlags& flags)
     app.add_option("--points-out", flags.pointsOut, "write the points searched as raw float32 x y z triples")
         ->type_name("FILE")
         ->check(notEmpty());
-    app.add_option("--csv", flags.csv, "write the results as CSV")->type_name("FILE")->check(notEmpty());
+    app.add_option("--csv", flags.csv, "write the results of the methods as CSV")
+        ->type_name("FILE")
+        ->check(notEmpty());
+    app.add_option("--chart", flags.chart, "write charts as a page of HTML; needs Python with matplotlib")
+        ->type_name("FILE")
+        ->check(notEmpty());
     addEngineFlags(app, flags.engine);
     addCommonFlags(app, flags.common);
 }
 
-BenchPlan checkFlags(const BenchFlags& flags)
+std::set<std::string> parseStudies(const BenchFlags& flags)
 {
-    BenchPlan plan;
-    if (flags.input.path.empty() == flags.sceneName.empty()) {
-        throw InvalidInput("bench needs a point file or --scene NAME, one of them");
+    const std::set<std::string> all(std::begin(kStudies), std::end(kStudies));
+    const bool hasPoints = !flags.input.path.empty() || !flags.sceneName.empty();
+    if (flags.studies.empty()) {
+        if (!hasPoints) return {};
+        std::set<std::string> studies{"methods"};
+        if (!flags.estimators.empty()) studies.insert("estimators");
+        return flags.chart.empty() ? studies : all;
     }
-    if (!flags.sceneName.empty()) {
+    if (flags.studies == "all") return all;
+    std::set<std::string> studies;
+    std::istringstream parts(flags.studies);
+    for (std::string name; std::getline(parts, name, ',');) {
+        if (!all.count(name)) {
+            std::string known;
+            for (const char* each : kStudies) known += std::string(each) + ", ";
+            throw InvalidInput("--study: '" + name + "' is none; there are " + known + "or all");
+        }
+        studies.insert(name);
+    }
+    return studies;
+}
+
+void checkInput(const BenchFlags& flags, BenchPlan& plan)
+{
+    const bool hasFile = !flags.input.path.empty(), hasScene = !flags.sceneName.empty();
+    if (hasFile && hasScene) throw InvalidInput("bench needs a point file or --scene NAME, one of them");
+    if (!hasFile && !hasScene && (plan.hasPoints() || !flags.stability)) {
+        throw InvalidInput(
+            "bench needs a point file or --scene NAME; or --stability, which brings its own points");
+    }
+    if (hasScene) {
         if (!flags.input.grid.empty())
             throw InvalidInput("--grid is for a .vdb file, and --scene makes no grid");
         plan.scene = sceneOptions(flags.sceneName, flags.scene);
     } else if (!flags.scene.count.empty()) {
         throw InvalidInput("-n is for --scene; a file has the points it has");
     }
-    if (!flags.input.radius.empty()) plan.radius = parsePositive(flags.input.radius, "--radius");
-    const bool namesDevice = flags.device.device != "auto" && flags.device.device != "cpu";
-    plan.methods = parseMethods(flags.methods, namesDevice ? flags.device.device : "");
-    checkDeviceFlags(flags.device, plan.methods);
-    plan.estimators = parseEstimators(flags.estimators);
-    plan.options = searchOptions(flags.engine, nullptr);
-    plan.repeat = parseCount(flags.repeat, "--repeat");
-    if (plan.repeat == 0) throw InvalidInput("--repeat: 0 runs are none; give 1 or more");
-    plan.sample = parseCount(flags.sample, "--sample");
-    plan.seed = parseCount(flags.scene.seed, "--seed");
-    if (!flags.shuffleSeed.empty()) plan.shuffleSeed = parseCount(flags.shuffleSeed, "--shuffle");
-    plan.threads = threadCount(flags.common);
+    if (!flags.csv.empty() && !plan.has("methods"))
+        throw InvalidInput("--csv has the results of methods: add --study methods");
+    if (!flags.estimators.empty() && !plan.has("estimators")) {
+        throw InvalidInput("--estimator is for the study of estimators: add --study estimators");
+    }
+}
+
+void checkFiles(const BenchFlags& flags)
+{
     std::vector<std::string> outputs, inputs;
-    if (!flags.csv.empty()) outputs.push_back(flags.csv);
-    if (!flags.pointsOut.empty()) outputs.push_back(flags.pointsOut);
+    for (const std::string& path : {flags.csv, flags.chart, flags.pointsOut}) {
+        if (!path.empty()) outputs.push_back(path);
+    }
     if (!flags.input.path.empty()) inputs.push_back(flags.input.path);
     for (const std::string& output : outputs) checkNotInput(output, inputs);
     checkOutputs(outputs, inputs, flags.common);
+}
+
+// The device that --device names, or nothing.
+std::string namedDevice(const BenchFlags& flags)
+{
+    const bool isNamed = flags.device.device != "auto" && flags.device.device != "cpu";
+    return isNamed ? flags.device.device : "";
+}
+
+BenchPlan checkFlags(const BenchFlags& flags)
+{
+    BenchPlan plan;
+    plan.studies = parseStudies(flags);
+    checkInput(flags, plan);
+    if (!flags.input.radius.empty()) plan.radius = parsePositive(flags.input.radius, "--radius");
+    plan.methods = flags.methods;
+    const std::vector<MethodSpec> methods = parseMethods(flags.methods, {namedDevice(flags), 0});
+    if (plan.has("methods")) checkDeviceFlags(flags.device, methods);
+    plan.estimators = parseEstimators(flags.estimators.empty() ? "all" : flags.estimators);
+    plan.options = searchOptions(flags.engine, nullptr);
+    plan.repeat = parseCount(flags.repeat, "--repeat");
+    if (plan.repeat == 0) throw InvalidInput("--repeat: 0 runs are none; give 1 or more");
+    if (flags.sample != "auto") plan.truth.sample = parseCount(flags.sample, "--sample");
+    plan.truth.seed = parseCount(flags.scene.seed, "--seed");
+    if (!flags.shuffleSeed.empty()) plan.shuffleSeed = parseCount(flags.shuffleSeed, "--shuffle");
+    plan.threads = threadCount(flags.common);
+    checkFiles(flags);
     return plan;
 }
 
@@ -135,151 +211,185 @@ BenchPoints loadPoints(const BenchFlags& flags, const BenchPlan& plan, ProgressP
     return points;
 }
 
-std::unique_ptr<Method> makeMethod(const MethodSpec& spec, const BenchPlan& plan)
-{
-    return spec.onDevice() ? makeDeviceMethod(spec, plan.options, plan.devices)
-                           : makeCpuMethod(spec, plan.options);
-}
-
-// One cold run of a method by itself: its first time and its peak of memory.
-void measureCold(const MethodSpec& spec, const BenchPlan& plan, const ParticleView& view, double radius,
-                 const ProgressSpan& span, MethodTimes& times)
-{
-    resetPeakMemory();
-    const std::unique_ptr<Method> method = makeMethod(spec, plan);
-    const MethodRun run = method->run(view, radius, span);
-    times.first = run.totalSeconds();
-    times.peakBytes = peakMemoryBytes();
-}
-
-// Interleaved, so that a change of the machine's speed meets all methods; run 0 warms up and is not counted.
-void measureWarm(const std::vector<std::unique_ptr<Method>>& methods, const BenchPlan& plan,
-                 const ParticleView& view, double radius, ProgressPrinter& progress,
-                 std::vector<MethodTimes>& times)
-{
-    for (std::uint64_t run = 0; run <= plan.repeat; ++run) {
-        for (std::size_t m = 0; m < methods.size(); ++m) {
-            const double step = 0.5 / static_cast<double>((plan.repeat + 1) * methods.size());
-            const double from = 0.3 + step * static_cast<double>(run * methods.size() + m);
-            const MethodRun result = methods[m]->run(view, radius, {progress, from, from + step});
-            if (run < plan.repeat) methods[m]->discard(); // the last one is checked
-            times[m].last = result;
-            if (run == 0) continue;
-            times[m].grid.push_back(result.gridSeconds);
-            times[m].search.push_back(result.searchSeconds);
-            times[m].total.push_back(result.totalSeconds());
-            if (result.device) times[m].device.push_back(*result.device);
-        }
-    }
-}
-
-BenchResult summarize(const BenchPoints& points, const std::string& method, double radius, int threads,
-                      const MethodTimes& times)
-{
-    BenchResult result;
-    result.scene = points.scene;
-    result.method = method;
-    result.threads = threads;
-    result.points = points.view.size();
-    result.pairs = times.last.pairs;
-    result.radius = radius;
-    result.runs = times.total.size();
-    result.gridSeconds = median(times.grid);
-    result.searchSeconds = median(times.search);
-    result.totalSeconds = median(times.total);
-    result.minSeconds = *std::min_element(times.total.begin(), times.total.end());
-    result.maxSeconds = *std::max_element(times.total.begin(), times.total.end());
-    result.firstSeconds = times.first;
-    result.peakBytes = times.peakBytes;
-    result.structureBytes = times.last.structureBytes;
-    result.listBytes = times.last.listBytes;
-    if (!times.device.empty()) result.device = medianOf(times.device);
-    return result;
-}
-
-std::vector<BenchResult> measure(const BenchPoints& points, const BenchPlan& plan, double radius, int threads,
-                                 ProgressPrinter& progress)
-{
-    const std::size_t count = plan.methods.size();
-    std::vector<MethodTimes> times(count);
-    for (std::size_t m = 0; m < count; ++m)
-        measureCold(plan.methods[m], plan, points.view, radius, {progress, 0.2, 0.3}, times[m]);
-    std::vector<std::unique_ptr<Method>> methods;
-    for (const MethodSpec& spec : plan.methods) methods.push_back(makeMethod(spec, plan));
-    measureWarm(methods, plan, points.view, radius, progress, times);
-
-    progress.begin("check", 0.8, 1);
-    const TrueNeighbors truth = findTrueNeighbors(points.view, radius, plan.sample, plan.seed, &progress);
-    std::vector<BenchResult> results;
-    for (std::size_t m = 0; m < count; ++m) {
-        const NeighborLists& lists = methods[m]->lists();
-        results.push_back(summarize(points, plan.methods[m].name, radius, threads, times[m]));
-        results.back().accuracy = checkAccuracy(lists, points.view, radius, truth);
-        if (lists.encoding() != Encoding::kNone) results.back().checksum = lists.checksum();
-        methods[m].reset();
-    }
-    setLowerBounds(results);
-    return results;
-}
-
-void deliver(const BenchFlags& flags, const std::vector<BenchResult>& results,
-             const std::optional<LinkRates>& link, const std::vector<EstimatorResult>& estimators)
-{
-    if (!flags.csv.empty()) {
-        const std::string csv = benchCsv(results);
-        writeWholeFile(flags.csv, csv.data(), csv.size(), flags.common.force);
-    }
-    deliverJson(flags.common.json, benchJson(results, link, estimators), flags.common.force);
-    if (!flags.common.quiet && !jsonToStdout(flags.common))
-        writeStdout(benchText(results) + devicesText(results, link) + estimatorsText(estimators));
-}
-
 void requireExact(const std::vector<BenchResult>& results)
 {
     for (const BenchResult& result : results) {
-        if (!result.isExact()) {
-            throw CheckFailed(result.method + " is wrong: " + std::to_string(result.accuracy.missing) +
-                              " missing, " + std::to_string(result.accuracy.extra) + " extra, " +
-                              std::to_string(result.accuracy.asymmetric.value_or(0)) +
-                              " asymmetric pairs in " + std::to_string(result.accuracy.checkedQueries) +
-                              " queries; please report it");
+        if (result.isPromisedExact() && !result.isExact()) {
+            throw CheckFailed(
+                result.method + " is wrong: " + std::to_string(result.accuracy.missing) + " missing, " +
+                std::to_string(result.accuracy.extra + result.accuracy.duplicates) + " extra, " +
+                std::to_string(result.accuracy.asymmetric.value_or(0)) + " asymmetric pairs in " +
+                std::to_string(result.accuracy.checkedQueries) + " queries; please report it");
         }
     }
     if (const BenchResult* const other = firstThatDiffers(results)) {
-        throw CheckFailed(other->method + " and " + results.front().method +
-                          " do not find the same pairs; please report it");
+        throw CheckFailed(other->method +
+                          " and another exact method do not find the same pairs; please report it");
     }
 }
 
-int runBench(const BenchFlags& flags, BenchPlan plan, int threads, Session& session)
+void requireStable(const std::vector<StabilityCell>& cells)
 {
-    ProgressPrinter progress(progressMode(flags.common));
-    plan.options.progress = &progress;
-    progress.begin("points", 0, 0.2);
+    for (const StabilityCell& cell : cells) {
+        if (!oursHolds(cell)) {
+            throw CheckFailed(cell.method + " fails the case " + cell.caseName + ": " + cell.message +
+                              "; please report it");
+        }
+    }
+}
+
+void deliver(const BenchFlags& flags, const BenchReport& report)
+{
+    if (!flags.csv.empty()) {
+        const std::string csv = benchCsv(report.results);
+        writeWholeFile(flags.csv, csv.data(), csv.size(), flags.common.force);
+    }
+    const std::string json = benchJson(report);
+    deliverJson(flags.common.json, json, flags.common.force);
+    if (!flags.common.quiet && !jsonToStdout(flags.common)) writeStdout(benchText(report));
+    if (!flags.chart.empty()) writeChart(flags.chart, json);
+    std::vector<BenchResult> exact = report.results;
+    requireExact(exact);
+    for (const ScalingResult& scaling : report.scaling) requireExact({scaling.result});
+    requireStable(report.stability);
+}
+
+// Methods whose growth is charted: ours, what float32 in world coordinates does, and a peer of grids.
+std::vector<MethodSpec> growingMethods(const MethodSuits& suits)
+{
+    std::vector<MethodSpec> specs = parseMethods("ours-index,ours-mask,world-float", suits);
+    for (const MethodSpec& peer : parseMethods("peers", suits)) {
+        if (peer.family == "openvdb" || peer.family == "nanoflann-double") specs.push_back(peer);
+    }
+    return specs;
+}
+
+// Runs the studies, each in its share of the progress.
+class Bench {
+public:
+    Bench(const BenchFlags& flags, const BenchPlan& plan, const BenchPoints& points, double radius,
+          int threads, ProgressPrinter& progress)
+        : mPlan(plan),
+          mPoints(points),
+          mRadius(radius),
+          mThreads(threads),
+          mProgress(progress),
+          mSuits{namedDevice(flags), points.view.size()},
+          mSetup{plan.options, plan.devices, points.voxelSize.value_or(radius)}
+    {
+        mSetup.options.progress = &progress;
+        mModelSetup = mSetup;
+        mModelSetup.devices = plan.modelDevices;
+    }
+
+    void run(BenchReport& report)
+    {
+        double from = 0.1;
+        const double share = 0.9 / static_cast<double>(mPlan.studies.size());
+        for (const char* study : kStudies) {
+            if (!mPlan.has(study)) continue;
+            runStudy(study, {mProgress, from, from + share}, report);
+            from += share;
+        }
+    }
+
+private:
+    void runStudy(const std::string& study, const ProgressSpan& span, BenchReport& report)
+    {
+        span.printer.begin(study.c_str(), span.begin, span.end);
+        if (study == "methods") {
+            report.results =
+                studyMethods(mPoints, truth(), methodOptions(parseMethods(mPlan.methods, mSuits)), span);
+            setLowerBounds(report.results);
+        } else if (study == "estimators") {
+            const SparseGrid grid = SearchEngine().buildGrid(mPoints.view, mRadius, mSetup.options);
+            report.estimators =
+                measureEstimators(mPoints.scene, mPlan.estimators, grid, mPlan.repeat, &mProgress);
+        } else if (study == "budgets") {
+            report.budgets = studyBudgets(mPoints, {mModelSetup, mRadius, mPlan.repeat}, span);
+        } else if (study == "resolution") {
+            report.resolution = studyResolution(mPoints, {mSetup.options, mRadius, mPlan.repeat}, span);
+        } else if (study == "scaling") {
+            report.scaling =
+                studyScaling(mPoints, methodOptions(growingMethods(mSuits)), truthOptions(), span);
+        } else {
+            report.model = studyModel(mPoints, {mModelSetup, mRadius, mPlan.repeat}, span);
+        }
+    }
+
+    TruthOptions truthOptions() const
+    {
+        TruthOptions options = mPlan.truth;
+        options.progress = &mProgress;
+        return options;
+    }
+    Truth truth() const { return findTruth(mPoints.view, mRadius, truthOptions()); }
+
+    MethodStudyOptions methodOptions(std::vector<MethodSpec> methods) const
+    {
+        return {std::move(methods), mSetup, mRadius, mThreads, mPlan.repeat};
+    }
+
+    const BenchPlan& mPlan;
+    const BenchPoints& mPoints;
+    double mRadius;
+    int mThreads;
+    ProgressPrinter& mProgress;
+    MethodSuits mSuits;
+    MethodSetup mSetup, mModelSetup;
+};
+
+void runStudies(const BenchFlags& flags, const BenchPlan& plan, int threads, ProgressPrinter& progress,
+                Session& session, BenchReport& report)
+{
+    progress.begin("points", 0, 0.1);
     const BenchPoints points = loadPoints(flags, plan, progress);
     session.path = plan.scene ? "scene " + points.scene : flags.input.path;
     const double radius =
         chooseRadius(flags.input.radius, points.suggestedRadius, session.path, flags.common.quiet);
-    const std::optional<LinkRates> link = measureLink(plan.devices.request.devices);
-    const std::vector<BenchResult> results = measure(points, plan, radius, threads, progress);
-    std::vector<EstimatorResult> estimators;
-    if (!plan.estimators.empty()) {
-        const SparseGrid grid = SearchEngine().buildGrid(points.view, radius, plan.options);
-        estimators = measureEstimators(points.scene, plan.estimators, grid, plan.repeat, &progress);
-    }
-    throwIfStopped();
-    progress.finish();
-    deliver(flags, results, link, estimators);
-    requireExact(results);
-    return kDone;
+    report.link = measureLink(plan.devices.request.devices);
+    Bench(flags, plan, points, radius, threads, progress).run(report);
+}
+
+// Of studies that plan for a device where no method runs on one.
+BenchDevices modelDevices(const BenchFlags& flags, const BenchPlan& plan, int threads)
+{
+    if (!plan.has("budgets") && !plan.has("model")) return {};
+    if (!plan.devices.request.devices.empty()) return plan.devices;
+    DeviceFlags device = flags.device;
+    if (namedDevice(flags).empty()) device.device = "sim";
+    return benchDevices(device, parseMethods("blocks-mask", {}), threads);
 }
 
 int runBenchCommand(const BenchFlags& flags, Session& session)
 {
     BenchPlan plan = checkFlags(flags);
+    if (!flags.chart.empty()) {
+        const std::string missing = missingForCharts();
+        if (!missing.empty()) std::fprintf(stderr, "vdb_nns: no charts: %s\n", missing.c_str());
+    }
+    ProgressPrinter progress(progressMode(flags.common));
+    BenchReport report;
+    if (flags.stability) { // before there are threads: it forks
+        StabilityOptions options;
+        options.methods = flags.methods.empty() ? stabilityMethods() : parseMethods(flags.methods, {});
+        options.threads = plan.threads;
+        options.progress = &progress;
+        report.stability = runStability(options);
+    }
     ThreadLimit threads(plan.threads);
-    plan.devices = benchDevices(flags.device, plan.methods, threads.count());
-    return threads.run([&] { return runBench(flags, plan, threads.count(), session); });
+    report.threads = threads.count();
+    if (plan.hasPoints()) {
+        if (plan.has("methods"))
+            plan.devices = benchDevices(flags.device, parseMethods(plan.methods, {namedDevice(flags), 0}),
+                                        threads.count());
+        plan.modelDevices = modelDevices(flags, plan, threads.count());
+        threads.run([&] { runStudies(flags, plan, threads.count(), progress, session, report); });
+    }
+    throwIfStopped();
+    progress.finish();
+    deliver(flags, report);
+    return kDone;
 }
 
 } // namespace

@@ -1,6 +1,7 @@
 #include "cli_options.h"
 
 #include "report.h"
+#include "threads.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/point_file.h"
 
@@ -59,10 +60,8 @@ void addCommonFlags(CLI::App& app, CommonFlags& flags)
 
 int threadCount(const CommonFlags& flags)
 {
-    constexpr std::uint64_t kMostThreads =
-        1024; // more than a machine has; an arena of a typo would take it down
     const std::uint64_t count = parseCount(flags.threads, "--threads");
-    if (count > kMostThreads) {
+    if (count > static_cast<std::uint64_t>(kMostThreads)) {
         throw InvalidInput("--threads: " + flags.threads + " is more than the limit of 1024; give 0 for all");
     }
     return static_cast<int>(count);
@@ -101,7 +100,7 @@ void addEngineFlags(CLI::App& app, EngineFlags& flags)
            "what is free, less a reserve")
         ->type_name("SIZE")
         ->check(notEmpty());
-    app.add_option("--cell-size", flags.cellSize, "cell edge in radii: auto, 1, 0.5 or 0.333")
+    app.add_option("--cell-size", flags.cellSize, "cell edge in radii: auto, or 0.333 to 4")
         ->type_name("RATIO")
         ->check(notEmpty())
         ->capture_default_str();
@@ -110,7 +109,7 @@ void addEngineFlags(CLI::App& app, EngineFlags& flags)
 SearchOptions searchOptions(const EngineFlags& flags, Progress* progress)
 {
     SearchOptions options;
-    options.reach = parseReach(flags.cellSize);
+    options.cellSize = parseCellSize(flags.cellSize);
     if (!flags.hostMemory.empty()) options.hostMemoryBytes = parseSize(flags.hostMemory, "--host-memory");
     options.progress = progress;
     return options;

@@ -25,8 +25,8 @@ std::uint64_t parseCount(const std::string& text, const std::string& flag);
 double parsePositive(const std::string& text, const std::string& flag);
 /// The double nearest to the text; finite.
 double parseNumber(const std::string& text, const std::string& flag);
-/// Cells that a radius spans, from `auto` or cell edge / radius: 1, 0.5 (1/2) or 0.33 (1/3).
-int parseReach(const std::string& text);
+/// SearchOptions::cellSize, from `auto` or a number.
+double parseCellSize(const std::string& text);
 
 /// Refuses an empty value: it is an unset variable in a script, not a wish for the default.
 const CLI::Validator& notEmpty();

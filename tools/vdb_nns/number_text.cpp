@@ -110,20 +110,17 @@ double parsePositive(const std::string& text, const std::string& flag)
     return number;
 }
 
-int parseReach(const std::string& text)
+double parseCellSize(const std::string& text)
 {
     const std::string flag = "--cell-size";
     if (text == "auto") return 0;
-    if (text == "1") return 1;
-    if (text == "1/2") return 2;
-    if (text == "1/3") return 3;
-    const double ratio = parsePositive(text, flag);
-    if (ratio == 1) return 1;
-    if (ratio == 0.5) return 2;
-    // No double is a third: any rounding of 0.333 means it.
-    if (ratio >= 0.33 && ratio <= 0.34) return 3;
-    throw InvalidInput(flag + ": '" + text +
-                       "' is not a cell edge that is supported; use auto, 1, 0.5 or 0.333 radii");
+    if (text == "1/2") return 1.0 / 2;
+    if (text == "1/3") return 1.0 / 3;
+    const double size = parsePositive(text, flag);
+    if (size < SearchOptions::kSmallestCell || size > SearchOptions::kLargestCell) {
+        throw InvalidInput(flag + ": '" + text + "' radii is out of range; use auto, or 0.333 to 4");
+    }
+    return size;
 }
 
 } // namespace vdb_nns::cli

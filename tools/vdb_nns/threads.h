@@ -10,6 +10,8 @@
 
 namespace vdb_nns::cli {
 
+constexpr int kMostThreads = 1024; ///< more than a machine has; an arena of a typo would take it down
+
 /// An arena of a stated number of threads; what runs in it never uses more.
 class ThreadLimit {
 public:

@@ -1,127 +1,159 @@
 #include "bench/accuracy.h"
 
-#include "numbers.h"
-#include "vdb_nns/error.h"
 #include "verify/exact_pair.h"
 #include "verify/point_cells.h"
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <iterator>
+#include <limits>
 #include <tbb/blocked_range.h>
-#include <tbb/parallel_for.h>
+#include <tbb/parallel_reduce.h>
 
 namespace vdb_nns::cli {
 namespace {
 
-constexpr std::uint64_t kMirrorChecks =
-    200000; // a mirror costs the decoding of a list, and a cluster has 10^8 of them
+constexpr double kNear =
+    1e-9; // relative: where a distance in double no longer tells how many ulps are between
 
-std::vector<std::uint32_t> neighborsOf(std::uint32_t query, const PointCloud& cloud, const PairJudge& judge)
-{
-    std::vector<std::uint32_t> found;
-    const double x = cloud.x[query], y = cloud.y[query], z = cloud.z[query];
-    for (std::size_t j = 0; j < cloud.x.size(); ++j) {
-        const double dx = cloud.x[j] - x, dy = cloud.y[j] - y, dz = cloud.z[j] - z;
-        const double square = dx * dx + dy * dy + dz * dz;
-        if (!(square <= cloud.sureBeyond) || j == query) continue; // a NaN is a point that is not finite
-        const auto number = static_cast<std::uint32_t>(j);
-        if (square <= cloud.sureWithin || judge.within(query, number)) found.push_back(number);
+// Sums over queries; merged over threads.
+struct Sums {
+    std::uint64_t missing = 0, extra = 0, duplicates = 0, asymmetric = 0;
+    double maxUlp = 0, countSquares = 0, countMax = 0, densitySquares = 0, densityMax = 0;
+
+    void merge(const Sums& other)
+    {
+        missing += other.missing;
+        extra += other.extra;
+        duplicates += other.duplicates;
+        asymmetric += other.asymmetric;
+        maxUlp = std::max(maxUlp, other.maxUlp);
+        countSquares += other.countSquares;
+        countMax = std::max(countMax, other.countMax);
+        densitySquares += other.densitySquares;
+        densityMax = std::max(densityMax, other.densityMax);
     }
-    return found;
-}
+};
 
-// Distances of wrong pairs from the radius; non-finite points have none.
-double largestUlp(std::uint32_t query, const std::vector<std::uint32_t>& wrong, const PairJudge& judge)
-{
-    double largest = 0;
-    for (const std::uint32_t other : wrong) {
-        const PairDistance pair =
-            describeDistance(judge.point(query), judge.point(other), judge.linear(), judge.radius());
-        if (std::isfinite(pair.ulps)) largest = std::max(largest, std::abs(pair.ulps));
+// Checks rows one after the other; one a thread.
+class Checker {
+public:
+    Checker(const FoundNeighbors& found, const ParticleView& view, double radius, const Truth& truth)
+        : mFound(found),
+          mView(view),
+          mRadius(radius),
+          mTruth(truth),
+          mJudge(view, radius),
+          mUlp(std::nextafter(radius, std::numeric_limits<double>::infinity()) - radius)
+    {
     }
-    return largest;
-}
 
-void compareLists(std::vector<std::uint32_t> listed, const std::vector<std::uint32_t>& truth,
-                  std::uint32_t query, const PairJudge& judge, AccuracyReport& report)
-{
-    std::sort(listed.begin(), listed.end());
-    std::vector<std::uint32_t> missing, extra;
-    std::set_difference(truth.begin(), truth.end(), listed.begin(), listed.end(),
-                        std::back_inserter(missing));
-    std::set_difference(listed.begin(), listed.end(), truth.begin(), truth.end(), std::back_inserter(extra));
-    report.missing += missing.size();
-    report.extra += extra.size();
-    report.maxUlp =
-        std::max({report.maxUlp, largestUlp(query, missing, judge), largestUlp(query, extra, judge)});
-}
-
-std::uint64_t countAsymmetric(const NeighborLists& lists, std::uint32_t query,
-                              const std::vector<std::uint32_t>& listed, std::uint64_t& budget)
-{
-    std::uint64_t asymmetric = 0;
-    std::vector<std::uint32_t> mirror;
-    for (const std::uint32_t other : listed) {
-        if (budget == 0) break;
-        --budget;
-        lists.neighbors(other, mirror);
-        asymmetric += std::find(mirror.begin(), mirror.end(), query) == mirror.end();
+    void check(std::size_t k)
+    {
+        const std::uint32_t query = mTruth.queries[k];
+        const double counted = static_cast<double>(mFound.count(query)),
+                     expected = static_cast<double>(mTruth.row(k).size());
+        const double error = std::fabs(mFound.countScale() * counted - expected);
+        mSums.countSquares += error * error;
+        mSums.countMax = std::max(mSums.countMax, error);
+        if (mFound.hasRows()) return checkRow(k, query);
+        mSums.missing += static_cast<std::uint64_t>(std::max(0.0, expected - counted));
+        mSums.extra += static_cast<std::uint64_t>(std::max(0.0, counted - expected));
     }
-    return asymmetric;
-}
+
+    const Sums& sums() const { return mSums; }
+
+private:
+    void checkRow(std::size_t k, std::uint32_t query)
+    {
+        mFound.row(query, mRow);
+        std::sort(mRow.begin(), mRow.end());
+        const auto last = std::unique(mRow.begin(), mRow.end());
+        mSums.duplicates += static_cast<std::uint64_t>(mRow.end() - last);
+        mRow.erase(last, mRow.end());
+        const auto self = std::lower_bound(mRow.begin(), mRow.end(), query);
+        if (self != mRow.end() && *self == query) {
+            mRow.erase(self);
+            ++mSums.duplicates;
+        }
+        const Span<const std::uint32_t> truth = mTruth.row(k);
+        mMissing.clear();
+        mExtra.clear();
+        std::set_difference(truth.begin(), truth.end(), mRow.begin(), mRow.end(),
+                            std::back_inserter(mMissing));
+        std::set_difference(mRow.begin(), mRow.end(), truth.begin(), truth.end(), std::back_inserter(mExtra));
+        mSums.missing += mMissing.size();
+        mSums.extra += mExtra.size();
+        // The truth is symmetric: a pair is listed one way only where one of the two ways is wrong.
+        double density = mTruth.density[k] - 1;
+        for (const std::uint32_t other : mMissing) density -= judgePair(query, other, true);
+        for (const std::uint32_t other : mExtra) density += judgePair(query, other, false);
+        const double error =
+            std::fabs(mFound.countScale() * density + 1 - mTruth.density[k]) / mTruth.density[k];
+        mSums.densitySquares += error * error;
+        mSums.densityMax = std::max(mSums.densityMax, error);
+    }
+
+    // Of a wrong pair: symmetry, distance from the radius, weight in the density.
+    double judgePair(std::uint32_t query, std::uint32_t other, bool isMissing)
+    {
+        if (other >= mView.size()) return 0; // no particle at all
+        mFound.row(other, mMirror);
+        const bool isMirrored = std::find(mMirror.begin(), mMirror.end(), query) != mMirror.end();
+        mSums.asymmetric += isMirrored == isMissing;
+        const double distance = mView.distance(query, other);
+        if (!std::isfinite(distance)) return 0; // a non-finite particle has no distance
+        double ulps = (distance - mRadius) / mUlp;
+        if (std::fabs(distance - mRadius) <= kNear * mRadius) {
+            ulps = describeDistance(mJudge.point(query), mJudge.point(other), mJudge.linear(), mRadius).ulps;
+        }
+        mSums.maxUlp = std::max(mSums.maxUlp, std::fabs(ulps));
+        return densityWeight(distance, mRadius);
+    }
+
+    const FoundNeighbors& mFound;
+    const ParticleView& mView;
+    double mRadius;
+    const Truth& mTruth;
+    PairJudge mJudge;
+    double mUlp; // of the radius
+    Sums mSums;
+    std::vector<std::uint32_t> mRow, mMissing, mExtra, mMirror;
+};
 
 } // namespace
 
-TrueNeighbors findTrueNeighbors(const ParticleView& view, double radius, std::uint64_t sample,
-                                std::uint64_t seed, Progress* progress)
+AccuracyReport checkAccuracy(const FoundNeighbors& found, const ParticleView& view, double radius,
+                             const Truth& truth)
 {
-    TrueNeighbors truth;
-    sample = std::min<std::uint64_t>(sample, view.size());
-    if (sample == 0) return truth;
-    for (std::uint64_t k = 0; k < sample; ++k) {
-        // Every point once it is all of them, else a point of each of `sample` equal shares.
-        const std::uint64_t low = view.size() * k / sample, high = view.size() * (k + 1) / sample;
-        truth.queries.push_back(static_cast<std::uint32_t>(low + mix64(mix64(seed) + k) % (high - low)));
-    }
-    truth.neighbors.resize(truth.queries.size());
-    const PointCloud cloud = makeCloud(view, radius);
-    const PairJudge judge(view, radius);
-    std::atomic<std::uint64_t> done{0};
-    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, truth.queries.size(), 1), [&](const auto& range) {
-        for (std::size_t k = range.begin(); k < range.end(); ++k) {
-            if (progress && progress->cancelled()) throw Cancelled("bench: cancelled");
-            truth.neighbors[k] = neighborsOf(truth.queries[k], cloud, judge);
-            if (progress)
-                progress->update("check", static_cast<double>(++done) / static_cast<double>(sample));
-        }
-    });
-    return truth;
-}
-
-AccuracyReport checkAccuracy(const NeighborLists& lists, const ParticleView& view, double radius,
-                             const TrueNeighbors& truth)
-{
+    const std::size_t queries = truth.queries.size();
+    const Sums sums = tbb::parallel_reduce(
+        tbb::blocked_range<std::size_t>(0, queries, 256), Sums(),
+        [&](const auto& range, Sums sums) {
+            Checker checker(found, view, radius, truth);
+            for (std::size_t k = range.begin(); k < range.end(); ++k) checker.check(k);
+            sums.merge(checker.sums());
+            return sums;
+        },
+        [](Sums a, const Sums& b) {
+            a.merge(b);
+            return a;
+        });
     AccuracyReport report;
-    report.checkedQueries = truth.queries.size();
-    const bool hasLists = lists.encoding() != Encoding::kNone;
-    if (hasLists) report.asymmetric = 0;
-    const PairJudge judge(view, radius);
-    std::uint64_t mirrorBudget = kMirrorChecks;
-    std::vector<std::uint32_t> listed;
-    for (std::size_t k = 0; k < truth.queries.size(); ++k) {
-        const std::uint32_t query = truth.queries[k];
-        const std::uint64_t expected = truth.neighbors[k].size(), counted = lists.count(query);
-        if (!hasLists) {
-            report.missing += expected > counted ? expected - counted : 0;
-            report.extra += counted > expected ? counted - expected : 0;
-            continue;
-        }
-        lists.neighbors(query, listed);
-        compareLists(listed, truth.neighbors[k], query, judge, report);
-        *report.asymmetric += countAsymmetric(lists, query, listed, mirrorBudget);
-    }
+    report.complete = truth.complete;
+    report.checkedQueries = queries;
+    report.truePairs = truth.pairs();
+    report.missing = sums.missing;
+    report.extra = sums.extra;
+    report.duplicates = sums.duplicates;
+    report.maxUlp = sums.maxUlp;
+    const double count = static_cast<double>(std::max<std::size_t>(queries, 1));
+    report.countRmse = std::sqrt(sums.countSquares / count);
+    report.countMax = sums.countMax;
+    if (!found.hasRows()) return report;
+    report.asymmetric = sums.asymmetric;
+    report.densityRmse = std::sqrt(sums.densitySquares / count);
+    report.densityMax = sums.densityMax;
     return report;
 }
 

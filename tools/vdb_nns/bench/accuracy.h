@@ -1,29 +1,44 @@
-// Is a method right? Its lists against the independent search that `verify` uses, at sampled queries.
+// How far a method is from the truth.
 #pragma once
 
-#include "bench/bench_report.h"
-#include "vdb_nns/neighbor_lists.h"
+#include "bench/found_neighbors.h"
+#include "bench/truth.h"
 #include "vdb_nns/particle_view.h"
-#include "vdb_nns/progress.h"
 
 #include <cstdint>
-#include <vector>
+#include <optional>
 
 namespace vdb_nns::cli {
 
-/// Queries and the neighbors that they have by definition, ascending.
-struct TrueNeighbors {
-    std::vector<std::uint32_t> queries;
-    std::vector<std::vector<std::uint32_t>> neighbors;
+/// Against the truth, on its queries. Ordered pairs.
+struct AccuracyReport {
+    bool complete = false; ///< all particles were queries
+    std::uint64_t checkedQueries = 0, truePairs = 0;
+    std::uint64_t missing = 0, extra = 0; ///< where there are counts alone, differences of counts
+    std::uint64_t duplicates = 0;         ///< listed more than once, or the query itself
+    std::optional<std::uint64_t>
+        asymmetric;    ///< of wrong pairs, those listed one way only; empty without rows
+    double maxUlp = 0; ///< farthest wrong pair from the radius, in ulps of the radius (double)
+    double countRmse = 0,
+           countMax = 0; ///< neighbors; counts are scaled where candidates were left out on purpose
+    std::optional<double> densityRmse, densityMax; ///< relative, of Truth::density; empty without rows
+
+    std::uint64_t wrong() const { return missing + extra + duplicates; }
+    double missingPerMillion() const { return perMillion(missing); }
+    double extraPerMillion() const { return perMillion(extra + duplicates); }
+
+private:
+    double perMillion(std::uint64_t pairs) const
+    {
+        return truePairs > 0 ? 1e6 * static_cast<double>(pairs) / static_cast<double>(truePairs)
+               : pairs > 0   ? 1e6
+                             : 0;
+    }
 };
 
-/// Draws up to `sample` different queries and tests each against all points, in double and exact arithmetic.
-/// @throws Cancelled
-TrueNeighbors findTrueNeighbors(const ParticleView& view, double radius, std::uint64_t sample,
-                                std::uint64_t seed, Progress* progress);
-
-/// Checks the lists of a method, or its counts where there are no lists.
-AccuracyReport checkAccuracy(const NeighborLists& lists, const ParticleView& view, double radius,
-                             const TrueNeighbors& truth);
+/// Reads every row of the truth's queries once, in parallel. A wrong pair costs the look-up of its mirror.
+/// Distances of wrong pairs are exact near the radius, else rounded to double.
+AccuracyReport checkAccuracy(const FoundNeighbors& found, const ParticleView& view, double radius,
+                             const Truth& truth);
 
 } // namespace vdb_nns::cli

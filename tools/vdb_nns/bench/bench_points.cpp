@@ -22,6 +22,7 @@ BenchPoints sceneBenchPoints(const SceneOptions& options, Progress* progress)
     BenchPoints points;
     points.scene = options.name;
     points.suggestedRadius = scene.suggestedRadius;
+    points.voxelSize = scene.voxelSize;
     std::vector<float> positions(scene.positions.size());
     for (std::size_t i = 0; i < positions.size(); ++i) positions[i] = static_cast<float>(scene.positions[i]);
     setPositions(points, std::move(positions));
@@ -36,6 +37,7 @@ BenchPoints fileBenchPoints(const std::string& path, const std::string& grid, bo
     points.file = PointFile::read(path, grid, progress);
     points.view = points.file->view();
     points.suggestedRadius = points.file->info().suggestedRadius;
+    if (points.file->info().voxelSize) points.voxelSize = (*points.file->info().voxelSize)[0];
     if (!asFloats) return points;
     std::vector<float> positions;
     positions.reserve(points.view.size() * 3);

@@ -22,6 +22,7 @@ struct BenchPoints {
     std::optional<PointFile> file;
     ParticleView view;
     std::optional<double> suggestedRadius; ///< world units
+    std::optional<double> voxelSize;       ///< world edge along x; none for files without voxels
 };
 
 BenchPoints sceneBenchPoints(const SceneOptions& options, Progress* progress);

@@ -1,6 +1,7 @@
 // See independent_search.h.
 #include "independent_search.h"
 
+#include "cell_rows.h"
 #include "point_cells.h"
 #include "row_check.h"
 #include "vdb_nns/error.h"
@@ -47,90 +48,6 @@ private:
 
 // ---- all rows, by cells -------------------------------------------------------------------------------------------
 
-// Finds the neighbors of all points of a range of cells and checks their rows.
-class CellTask {
-public:
-    CellTask(const PointCloud& cloud, const CellHash& cells, const PairJudge& judge, RowChecker& checker)
-        : mCloud(cloud), mCells(cells), mJudge(judge), mChecker(checker)
-    {
-    }
-
-    void run(std::size_t cell)
-    {
-        gatherCandidates(cell);
-        for (std::size_t at = mCells.begin(cell); at < mCells.end(cell); ++at) {
-            const std::uint32_t query = mCells.numbers()[at];
-            findNeighbors(query);
-            std::sort(mFound.begin(), mFound.end());
-            mChecker.check(query, mFound);
-        }
-    }
-
-private:
-    // Copies the points of the 27 cells about `cell`, the cell itself included.
-    void gatherCandidates(std::size_t cell)
-    {
-        mNumbers.clear();
-        const CellKey& center = mCells.key(cell);
-        for (int step = 0; step < 27; ++step) {
-            const CellKey key{center[0] + step / 9 - 1, center[1] + step / 3 % 3 - 1,
-                              center[2] + step % 3 - 1};
-            const std::size_t other = mCells.find(key);
-            if (other == CellHash::kNone) continue;
-            const auto numbers = mCells.numbers().begin();
-            mNumbers.insert(mNumbers.end(), numbers + static_cast<std::ptrdiff_t>(mCells.begin(other)),
-                            numbers + static_cast<std::ptrdiff_t>(mCells.end(other)));
-        }
-        for (auto* values : {&mX, &mY, &mZ, &mSquares}) values->resize(mNumbers.size());
-        for (std::size_t k = 0; k < mNumbers.size(); ++k) {
-            mX[k] = mCloud.x[mNumbers[k]];
-            mY[k] = mCloud.y[mNumbers[k]];
-            mZ[k] = mCloud.z[mNumbers[k]];
-        }
-        mFound.reserve(mNumbers.size());
-    }
-
-    void findNeighbors(std::uint32_t query)
-    {
-        const std::size_t count = mNumbers.size();
-        squaredDistances(mX.data(), mY.data(), mZ.data(), count, mCloud.x[query], mCloud.y[query],
-                         mCloud.z[query], mSquares.data());
-        // Every candidate is written, and kept by moving on: no branch to guess wrong.
-        mFound.resize(count);
-        std::size_t found = 0, unsure = 0;
-        for (std::size_t k = 0; k < count; ++k) {
-            mFound[found] = mNumbers[k];
-            const unsigned near = mSquares[k] <= mCloud.sureBeyond, other = mNumbers[k] != query;
-            const unsigned sure = mSquares[k] <= mCloud.sureWithin;
-            found += near & other;
-            unsure += near - sure;
-        }
-        mFound.resize(found);
-        if (unsure) decide(query);
-    }
-
-    // Drops the unsure candidates that exact arithmetic puts outside.
-    void decide(std::uint32_t query)
-    {
-        mFound.clear();
-        for (std::size_t k = 0; k < mNumbers.size(); ++k) {
-            if (mSquares[k] > mCloud.sureBeyond || mNumbers[k] == query) continue;
-            if (mSquares[k] > mCloud.sureWithin) {
-                mChecker.countExactPair();
-                if (!mJudge.within(query, mNumbers[k])) continue;
-            }
-            mFound.push_back(mNumbers[k]);
-        }
-    }
-
-    const PointCloud& mCloud;
-    const CellHash& mCells;
-    const PairJudge& mJudge;
-    RowChecker& mChecker;
-    std::vector<std::uint32_t> mNumbers, mFound; // candidates; neighbors of one query
-    std::vector<double> mX, mY, mZ, mSquares;    // of the candidates
-};
-
 RowChecker checkAll(const PointCloud& cloud, const PairJudge& judge, const RowChecker& empty,
                     RowCounter& counter)
 {
@@ -142,8 +59,13 @@ RowChecker checkAll(const PointCloud& cloud, const PairJudge& judge, const RowCh
     RowChecker result = tbb::parallel_reduce(
         tbb::blocked_range<std::size_t>(0, cells.size(), 64), empty,
         [&](const tbb::blocked_range<std::size_t>& range, RowChecker checker) {
-            CellTask task(cloud, cells, judge, checker);
-            for (std::size_t cell = range.begin(); cell < range.end(); ++cell) task.run(cell);
+            CellRows rows(cloud, cells, judge);
+            for (std::size_t cell = range.begin(); cell < range.end(); ++cell) {
+                rows.run(cell, [&checker](std::uint32_t query, const std::vector<std::uint32_t>& found) {
+                    checker.check(query, found);
+                });
+            }
+            checker.countExactPairs(rows.exactPairs());
             counter.done(cells.end(range.end() - 1) - cells.begin(range.begin()));
             return checker;
         },
@@ -193,7 +115,7 @@ void searchTile(const PointCloud& cloud, const PairJudge& judge, std::uint32_t q
             const auto number = static_cast<std::uint32_t>(part + k);
             if (!(squares[k] <= cloud.sureBeyond) || number == query) continue;
             if (squares[k] > cloud.sureWithin) {
-                checker.countExactPair();
+                checker.countExactPairs(1);
                 if (!judge.within(query, number)) continue;
             }
             found.push_back(number);

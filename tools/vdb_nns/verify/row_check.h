@@ -20,7 +20,7 @@ public:
     void check(std::uint32_t query, const std::vector<std::uint32_t>& expected);
 
     void merge(const RowChecker& other);
-    void countExactPair() { ++mReport.exactPairs; }
+    void countExactPairs(std::uint64_t pairs) { mReport.exactPairs += pairs; }
 
     // With the distances of the examples filled in.
     VerifyReport finish() const;

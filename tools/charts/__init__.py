@@ -1,0 +1,1 @@
+"""What tools/chart.py draws: one module per chart, from a Report (report.py) to pictures or HTML."""

@@ -1,0 +1,15 @@
+// Charts of a benchmark: runs chart.py, which needs Python with matplotlib.
+#pragma once
+
+#include <string>
+
+namespace vdb_nns::cli {
+
+/// Empty where charts can be made; else a sentence that says what is missing and what to install.
+std::string missingForCharts();
+
+/// Makes the page from a report in JSON.
+/// @throws OutputError with what chart.py says, or missingForCharts()
+void writeChart(const std::string& path, const std::string& json);
+
+} // namespace vdb_nns::cli

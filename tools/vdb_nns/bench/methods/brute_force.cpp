@@ -1,0 +1,88 @@
+// All pairs: what needs no structure, and what a structure has to beat. World positions in doubles.
+#include "bench/methods/part_kernels.h"
+#include "bench/methods/peers.h"
+#include "machine.h"
+
+#include <tbb/blocked_range.h>
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <numeric>
+
+namespace vdb_nns::cli {
+namespace {
+
+constexpr std::uint32_t kTile = 512;   // candidates: 14 KB, half of the first-level cache
+constexpr std::uint32_t kQueries = 32; // that a tile is read for
+
+class BruteForce final : public RowMethod {
+private:
+    struct Worker {
+        explicit Worker(RowPool& pool) : rows(pool), hits(kTile + kVectorSlack), found(kQueries) {}
+
+        RowWriter rows;
+        std::vector<std::uint32_t> hits;
+        std::vector<std::vector<std::uint32_t>> found; // by query of a task
+    };
+
+    void search(const ParticleView& view, double radius, MethodRun& result) override
+    {
+        for (std::vector<double>& axis : mAxes) axis.resize(view.size() + kVectorSlack);
+        mNumbers.resize(view.size() + kVectorSlack);
+        std::iota(mNumbers.begin(), mNumbers.end(), 0u);
+        for (std::size_t i = 0; i < view.size(); ++i) {
+            const Vec3d at = view.worldPosition(i);
+            for (std::size_t k = 0; k < 3; ++k) mAxes[k][i] = at[k];
+        }
+        const Stopwatch watch;
+        for (Worker& worker : mWorkers) worker.rows.restart();
+        tbb::parallel_for(
+            tbb::blocked_range<std::uint32_t>(0, static_cast<std::uint32_t>(view.size()), kQueries),
+            [&](const tbb::blocked_range<std::uint32_t>& range) {
+                throwIfStopped();
+                Worker& worker = mWorkers.local();
+                for (std::uint32_t q = range.begin(); q < range.end(); q += kQueries) {
+                    searchQueries(q, std::min(q + kQueries, range.end()), radius * radius, worker);
+                }
+            });
+        for (const Worker& worker : mWorkers) result.pairs += worker.rows.pairs();
+        result.searchSeconds = watch.seconds();
+    }
+
+    void searchQueries(std::uint32_t begin, std::uint32_t end, double radiusSquared, Worker& worker)
+    {
+        const std::uint32_t particles = static_cast<std::uint32_t>(mNumbers.size() - kVectorSlack);
+        double *const x = mAxes[0].data(), *const y = mAxes[1].data(), *const z = mAxes[2].data();
+        std::uint32_t* const hits = worker.hits.data();
+        for (std::vector<std::uint32_t>& row : worker.found) row.clear();
+        for (std::uint32_t tile = 0; tile < particles; tile += kTile) {
+            const CandidateArrays<double> candidates{x + tile, y + tile, z + tile, mNumbers.data() + tile};
+            const std::uint32_t count = std::min(kTile, particles - tile);
+            for (std::uint32_t q = begin; q < end; ++q) {
+                const std::uint32_t found =
+                    mTest(candidates, count, {x[q], y[q], z[q], q}, {radiusSquared, 0}, hits, nullptr).count;
+                std::vector<std::uint32_t>& row = worker.found[q - begin];
+                if (found > 0) row.insert(row.end(), hits, hits + found);
+            }
+        }
+        for (std::uint32_t q = begin; q < end; ++q) {
+            const std::vector<std::uint32_t>& row = worker.found[q - begin];
+            worker.rows.append(q, row.data(), row.size());
+        }
+    }
+
+    const TestFunction<double> mTest = partKernels<double>(SimdLevel::kBest).test;
+    std::vector<double> mAxes[3];
+    std::vector<std::uint32_t> mNumbers;
+    tbb::enumerable_thread_specific<Worker> mWorkers{[this] { return Worker(mPool); }};
+};
+
+} // namespace
+
+std::unique_ptr<Method> makeBruteForce()
+{
+    return std::make_unique<BruteForce>();
+}
+
+} // namespace vdb_nns::cli

@@ -1,0 +1,131 @@
+#include "bench/methods/codec_method.h"
+#include "bench/methods/other_methods.h"
+#include "bench/methods/part_search-inl.h"
+#include "bench/methods/row_method.h"
+#include "machine.h"
+#include "shared/membership.h"
+#include "vdb_nns/error.h"
+#include "vdb_nns/search.h"
+
+#include <tbb/blocked_range.h>
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/parallel_for.h>
+
+#include <cmath>
+
+namespace vdb_nns::cli {
+namespace {
+
+template <PartFrame kFrame, PartTest kTest>
+class PartMethod final : public RowMethod {
+public:
+    PartMethod(const SearchOptions& options, const PartSettings& settings, double countScale)
+        : mOptions(options), mSettings(settings)
+    {
+        mSettings.simd = options.simd;
+        mRows.scale = countScale;
+    }
+
+private:
+    using Real = FrameReal<kFrame>;
+    using Scratch = PartScratch<kFrame>;
+
+    void search(const ParticleView& view, double radius, MethodRun& result) override
+    {
+        const Stopwatch gridWatch;
+        const SparseGrid grid = mEngine.buildGrid(view, radius, mOptions);
+        mStructure.build(grid);
+        result.gridSeconds = gridWatch.seconds();
+
+        const Stopwatch searchWatch;
+        if (grid.nonfiniteCount() > 0) {
+            std::fill(mRows.places.begin(), mRows.places.end(), RowBuffers::Place{});
+        }
+        for (Scratch& scratch : mScratch) scratch.rows.restart();
+        const PairJudge judge(view, radius);
+        const PartSearch<kFrame, kTest> search(mStructure, limits(grid), mSettings, judge);
+        tbb::parallel_for(tbb::blocked_range<std::uint32_t>(0, static_cast<std::uint32_t>(grid.leafCount())),
+                          [&](const tbb::blocked_range<std::uint32_t>& range) {
+                              throwIfStopped();
+                              Scratch& scratch = mScratch.local();
+                              for (std::uint32_t l = range.begin(); l < range.end(); ++l) {
+                                  search.searchLeaf(l, scratch);
+                              }
+                          });
+        for (const Scratch& scratch : mScratch) result.pairs += scratch.rows.pairs();
+        result.searchSeconds = searchWatch.seconds();
+        result.structureBytes = grid.bytes() + mStructure.bytes();
+    }
+
+    PairLimits<Real> limits(const SparseGrid& grid) const
+    {
+        if constexpr (kFrame != PartFrame::kLeafFloat) {
+            const Real radius = static_cast<Real>(grid.radius());
+            return {radius * radius, 0};
+        } else {
+            const double radiusCells = grid.radius() / grid.cellSize();
+            if (kTest != PartTest::kCertified) return {static_cast<float>(radiusCells * radiusCells), 0};
+            const FilterBounds bounds =
+                makeFilterBounds(radiusCells, grid.reach(), mStructure.coordinateError);
+            float band; // -2 beta
+            std::memcpy(&band, &bounds.bandTop, sizeof band);
+            return {bounds.far, std::nextafter(bounds.far + band, -1e30f)};
+        }
+    }
+
+    SearchOptions mOptions;
+    PartSettings mSettings;
+    SearchEngine mEngine;
+    PartStructure<kFrame> mStructure;
+    tbb::enumerable_thread_specific<Scratch> mScratch{[this] { return Scratch(mStructure, mPool); }};
+};
+
+template <PartFrame kFrame, PartTest kTest>
+std::unique_ptr<Method> makePart(const SearchOptions& options, const PartSettings& settings = {},
+                                 double countScale = 1)
+{
+    return std::make_unique<PartMethod<kFrame, kTest>>(options, settings, countScale);
+}
+
+PartSettings sampledSettings(double percent)
+{
+    if (!(percent > 0 && percent <= 100)) {
+        throw InvalidInput("bench: sampled needs a percentage above 0 and up to 100");
+    }
+    PartSettings settings;
+    settings.sampleMost = static_cast<std::uint32_t>(std::ceil(percent / 100 * 4294967296.0) - 1);
+    return settings;
+}
+
+PartSettings nearestSettings(double count)
+{
+    if (!(count >= 1 && count < 4294967296.0)) {
+        throw InvalidInput("bench: nearest needs a number of neighbors, 1 or more");
+    }
+    PartSettings settings;
+    settings.nearest = static_cast<std::uint32_t>(count);
+    return settings;
+}
+
+} // namespace
+
+std::unique_ptr<Method> makePartMethod(const MethodSpec& spec, const SearchOptions& options, double voxelSize)
+{
+    const std::string& family = spec.family;
+    if (family == "certified") return makePart<PartFrame::kLeafFloat, PartTest::kCertified>(options);
+    if (family == "filter-only") return makePart<PartFrame::kLeafFloat, PartTest::kFilter>(options);
+    if (family == "world-float") return makePart<PartFrame::kWorldFloat, PartTest::kFilter>(options);
+    if (family == "world-double") return makePart<PartFrame::kWorldDouble, PartTest::kFilter>(options);
+    if (family == "codec8") return makeCodecMethod(PositionCodec::kFixed8, voxelSize, options);
+    if (family == "codec16") return makeCodecMethod(PositionCodec::kFixed16, voxelSize, options);
+    if (family == "sampled") {
+        return makePart<PartFrame::kLeafFloat, PartTest::kSampled>(options, sampledSettings(spec.number),
+                                                                   100 / spec.number);
+    }
+    if (family == "nearest") {
+        return makePart<PartFrame::kLeafFloat, PartTest::kNearest>(options, nearestSettings(spec.number));
+    }
+    throw std::logic_error("bench: no part or approximate method " + family);
+}
+
+} // namespace vdb_nns::cli

@@ -1,0 +1,25 @@
+// Other libraries as methods of `bench`, one file each.
+#pragma once
+
+#include "bench/methods/row_method.h"
+
+#include <memory>
+#include <vector>
+
+namespace vdb_nns::cli {
+
+/// World positions as a user of such a library has them: x y z triples, non-finite ones as they are.
+template <typename Real>
+std::vector<Real> worldPositions(const ParticleView& view);
+
+std::unique_ptr<Method> makeOpenVdbPeer();
+
+/// Whether the program was built with nanoflann.
+bool hasNanoflann();
+/// Null without it.
+std::unique_ptr<Method> makeNanoflannPeer(bool inDoubles);
+
+/// Every pair, in doubles. Rows ascending.
+std::unique_ptr<Method> makeBruteForce();
+
+} // namespace vdb_nns::cli

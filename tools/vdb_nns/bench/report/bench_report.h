@@ -1,0 +1,37 @@
+// What a benchmark found, as JSON, CSV and lines for people.
+#pragma once
+
+#include "bench/methods/link.h"
+#include "bench/stability/matrix.h"
+#include "bench/studies/budget_study.h"
+#include "bench/studies/estimators.h"
+#include "bench/studies/method_study.h"
+#include "bench/studies/model_study.h"
+#include "bench/studies/resolution_study.h"
+#include "bench/studies/scaling_study.h"
+
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace vdb_nns::cli {
+
+/// Of every study that ran; the others are empty.
+struct BenchReport {
+    int threads = 0;
+    std::optional<LinkRates> link;
+    std::vector<BenchResult> results;
+    std::vector<EstimatorResult> estimators;
+    std::vector<BudgetResult> budgets;
+    std::vector<ResolutionResult> resolution;
+    std::vector<ScalingResult> scaling;
+    ModelStudy model;
+    std::vector<StabilityCell> stability;
+};
+
+std::string benchJson(const BenchReport& report);
+/// The results of methods alone.
+std::string benchCsv(const std::vector<BenchResult>& results);
+std::string benchText(const BenchReport& report);
+
+} // namespace vdb_nns::cli

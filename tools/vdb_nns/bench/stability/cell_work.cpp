@@ -1,0 +1,325 @@
+#include "bench/stability/cell_work.h"
+
+#include "bench/stability/cell_check.h"
+#include "device_plan.h"
+#include "machine.h"
+#include "numbers.h"
+#include "threads.h"
+#include "vdb_nns/error.h"
+#include "vdb_nns/search.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cstring>
+#include <fstream>
+#include <new>
+#include <numeric>
+#include <sys/resource.h>
+#include <unistd.h>
+
+namespace vdb_nns::cli {
+namespace {
+
+constexpr std::uint64_t kMostBruteForce = 50'000; // particles: some seconds
+// Of address space: the stack of a thread, and the arena of its heap.
+constexpr std::uint64_t kThreadBytes = std::uint64_t(80) << 20;
+
+std::uint64_t mappedBytes()
+{
+    std::uint64_t pages = 0;
+    std::ifstream("/proc/self/statm") >> pages;
+    return pages * static_cast<std::uint64_t>(sysconf(_SC_PAGESIZE));
+}
+
+// The soft limit alone, so that it can be lifted again.
+class AddressLimit {
+public:
+    AddressLimit(std::uint64_t bytes, int threads)
+    {
+        getrlimit(RLIMIT_AS, &mBefore);
+        rlimit limit = mBefore;
+        limit.rlim_cur = std::min<rlim_t>(
+            mBefore.rlim_max, mappedBytes() + bytes + static_cast<std::uint64_t>(threads) * kThreadBytes);
+        setrlimit(RLIMIT_AS, &limit);
+    }
+    ~AddressLimit() { setrlimit(RLIMIT_AS, &mBefore); }
+    AddressLimit(const AddressLimit&) = delete;
+    AddressLimit& operator=(const AddressLimit&) = delete;
+
+private:
+    rlimit mBefore = {};
+};
+
+// Of a simulated device, for methods that have all of it.
+constexpr std::uint64_t kDeviceBytes = std::uint64_t(3) << 30;
+
+DeviceLimits simulatedDevice(std::uint64_t bytes)
+{
+    DeviceLimits device;
+    device.name = "simulated";
+    device.memoryBytes = bytes;
+    return device;
+}
+
+// Of everything as one block, as an honest estimate has it.
+std::uint64_t bytesAtOnce(const CaseParticles& particles, Encoding encoding, ProgressPrinter& progress)
+{
+    SearchEngine engine;
+    const SparseGrid grid = engine.buildGrid(particles.view, particles.radius);
+    DeviceRequest request;
+    request.devices = {simulatedDevice(~std::uint64_t(0) >> 8)};
+    SecondsReport seconds;
+    return makePlan(grid, request, encoding, PlanDetail::kFull, {progress, 0, 1}, seconds).everything.total();
+}
+
+// What was allowed, and as much more as the refusal says to lack.
+std::uint64_t grown(std::uint64_t allowed, const CapacityError& refusal)
+{
+    if (refusal.neededBytes() <= refusal.allowedBytes()) throw refusal;
+    return allowed + (refusal.neededBytes() - refusal.allowedBytes());
+}
+
+constexpr std::uint64_t kLeastBytes = 1024;
+constexpr int kMostRefusals = 100;
+
+std::uint64_t bytesOfGridAlone(const CaseParticles& particles)
+{
+    SearchOptions options;
+    options.hostMemoryBytes = kLeastBytes;
+    for (int k = 0;; ++k) {
+        try {
+            SearchEngine().buildGrid(particles.view, particles.radius, options);
+            return options.hostMemoryBytes;
+        } catch (const CapacityError& refusal) {
+            if (k == kMostRefusals) throw;
+            options.hostMemoryBytes = grown(options.hostMemoryBytes, refusal);
+        }
+    }
+}
+
+std::string whySkipped(const StabilityCase& stabilityCase, const MethodSpec& spec, std::size_t particles)
+{
+    if (stabilityCase.condition.isForDevices() && !spec.hasBudget()) return "has no device with a budget";
+    if (stabilityCase.condition.isForHostRoom() && !spec.isExact()) return "knows no bound of host memory";
+    if (spec.family == "brute-force" && particles > kMostBruteForce) {
+        return "would take too long with " + std::to_string(particles) + " particles";
+    }
+    return {};
+}
+
+struct RunPlan {
+    int threads = 0;
+    std::vector<std::uint32_t> order; // of the particles; empty: as they are
+};
+
+std::vector<RunPlan> plansOf(const RunCondition& condition, const CellLimits& limits, std::size_t particles)
+{
+    if (condition.threadCounts) {
+        const int cores = tbb::info::default_concurrency();
+        std::vector<int> counts = {1, 2, 3, cores, 2 * cores};
+        std::sort(counts.begin(), counts.end());
+        counts.erase(std::unique(counts.begin(), counts.end()), counts.end());
+        std::vector<RunPlan> plans;
+        for (const int threads : counts) plans.push_back({threads, {}});
+        return plans;
+    }
+    std::vector<RunPlan> plans = {{limits.threads, {}}};
+    if (condition.shuffled) {
+        std::vector<std::uint32_t> order(particles);
+        std::iota(order.begin(), order.end(), 0u);
+        for (std::size_t k = order.size(); k > 1; --k) std::swap(order[k - 1], order[mix64(k) % k]);
+        plans.push_back({limits.threads, order});
+    }
+    return plans;
+}
+
+// The particles in another order, as an array of doubles.
+CaseParticles inOrder(const CaseParticles& particles, const std::vector<std::uint32_t>& order)
+{
+    if (order.empty()) return particles;
+    const auto xyz = std::make_shared<std::vector<double>>();
+    for (const std::uint32_t i : order) {
+        const Vec3d at = particles.view.worldPosition(i);
+        xyz->insert(xyz->end(), at.begin(), at.end());
+    }
+    return {ParticleView::fromArray(xyz->data(), order.size()), particles.radius, particles.known, xyz};
+}
+
+class CellRunner {
+public:
+    CellRunner(const StabilityCase& stabilityCase, const MethodSpec& spec, const CellLimits& limits,
+               const MethodMaker& make, CellRecord& record)
+        : mCase(stabilityCase), mSpec(spec), mLimits(limits), mMake(make), mRecord(record)
+    {
+    }
+
+    void run()
+    {
+        const std::optional<CaseParticles> particles = makeParticles();
+        if (!particles) return;
+        const std::string skip = whySkipped(mCase, mSpec, particles->view.size());
+        if (!skip.empty()) return conclude(Verdict::kSkipped, skip);
+        std::optional<std::uint64_t> firstSum;
+        for (const RunPlan& plan : plansOf(mCase.condition, mLimits, particles->view.size())) {
+            ThreadLimit threads(plan.threads);
+            const bool goesOn =
+                threads.run([&] { return runOnce(*particles, plan, threads.count(), firstSum); });
+            if (!goesOn) return;
+        }
+    }
+
+private:
+    void conclude(Verdict verdict, const std::string& message)
+    {
+        mRecord.verdict = verdict;
+        mRecord.say(message);
+    }
+
+    // Of a point grid that no view can be made of it is the engine that refuses.
+    std::optional<CaseParticles> makeParticles()
+    {
+        try {
+            return mCase.make();
+        } catch (const InputError& e) {
+            mSpec.isExact() ? conclude(Verdict::kRefused, e.what())
+                            : conclude(Verdict::kSkipped, "is not given such particles");
+            return std::nullopt;
+        }
+    }
+
+    // Whether another run makes sense.
+    bool runOnce(const CaseParticles& asMade, const RunPlan& plan, int threads,
+                 std::optional<std::uint64_t>& firstSum)
+    {
+        mRecord.enter(CellPhase::kMake);
+        const CaseParticles particles = inOrder(asMade, plan.order);
+        const MethodSetup setup = setupFor(particles);
+        const std::unique_ptr<Method> method = runLimited(particles, setup, threads);
+        if (!method) return false;
+        mRecord.enter(CellPhase::kCheck);
+        const CellCheck check = checkFound(method->found(), particles, plan.order);
+        mRecord.missing += check.missing;
+        mRecord.extra += check.extra;
+        mRecord.duplicates += check.duplicates;
+        mRecord.hasAsymmetric = check.asymmetric.has_value();
+        mRecord.asymmetric += check.asymmetric.value_or(0);
+        if (check.wrong() > 0) conclude(Verdict::kWrong, check.message);
+        if (check.hasStrangers) return false;
+        const bool isOther = firstSum && *firstSum != check.pairSum;
+        if (isOther) conclude(Verdict::kWrong, "other pairs with " + describe(plan, threads));
+        firstSum = firstSum.value_or(check.pairSum);
+        return true;
+    }
+
+    std::uint64_t mappableBytes() const
+    {
+        return std::min(mLimits.bytes, mCase.condition.addressBytes.value_or(mLimits.bytes));
+    }
+
+    std::string describe(const RunPlan& plan, int threads) const
+    {
+        return plan.order.empty() ? std::to_string(threads) + " threads" : "particles in another order";
+    }
+
+    MethodSetup setupFor(const CaseParticles& particles)
+    {
+        const RunCondition& condition = mCase.condition;
+        MethodSetup setup;
+        if (condition.hostRoom == HostRoom::kOfCell) setup.options.hostMemoryBytes = mappableBytes() / 4 * 3;
+        if (condition.hostRoom == HostRoom::kGridAlone) {
+            setup.options.hostMemoryBytes = bytesOfGridAlone(particles);
+        }
+        if (condition.hostRoom == HostRoom::kAsRefused) setup.options.hostMemoryBytes = kLeastBytes;
+        std::uint64_t bytes = condition.deviceBytes;
+        if (condition.deviceShare) {
+            bytes = static_cast<std::uint64_t>(
+                *condition.deviceShare *
+                static_cast<double>(bytesAtOnce(particles, mSpec.encoding, mProgress)));
+        }
+        setup.devices.request.devices = {simulatedDevice(kDeviceBytes)};
+        setup.devices.budgetBytes = std::max<std::uint64_t>(bytes, 1);
+        setup.devices.methods = 1;
+        if (condition.claimedNeighbors) {
+            setup.devices.request.estimate.estimator = Estimator::kFixed;
+            setup.devices.request.estimate.fixedNeighbors = *condition.claimedNeighbors;
+            setup.devices.request.margin = 0;
+        }
+        return setup;
+    }
+
+    // With its result; null where there is none.
+    std::unique_ptr<Method> runLimited(const CaseParticles& particles, const MethodSetup& setup, int threads)
+    {
+        const AddressLimit limit(mappableBytes(), threads);
+        returnFreedMemory();
+        resetPeakMemory();
+        mRecord.bytesBefore = residentMemoryBytes();
+        mRecord.enter(CellPhase::kRun);
+        std::unique_ptr<Method> method;
+        try {
+            method = answered(particles, setup);
+        } catch (const Error& e) {
+            conclude(Verdict::kRefused, e.what());
+        } catch (const std::bad_alloc&) {
+            conclude(Verdict::kMemory, "asked for more memory than there is, std::bad_alloc");
+        } catch (const std::exception& e) {
+            conclude(mSpec.isExact() ? Verdict::kCrash : Verdict::kRefused, e.what());
+        } catch (...) {
+            conclude(Verdict::kCrash, "threw what is no std::exception");
+        }
+        mRecord.seconds += monotonicSeconds() - mRecord.phaseBegan;
+        const std::uint64_t peak = peakMemoryBytes();
+        mRecord.peakBytes = std::max(mRecord.peakBytes, peak - std::min(peak, mRecord.bytesBefore));
+        mRecord.enter(CellPhase::kCheck);
+        return method;
+    }
+
+    std::unique_ptr<Method> answered(const CaseParticles& particles, MethodSetup setup)
+    {
+        for (int k = 0;; ++k) {
+            std::unique_ptr<Method> method = mMake(mSpec, setup);
+            try {
+                method->run(particles.view, particles.radius, {mProgress, 0, 1});
+                return method;
+            } catch (const CapacityError& refusal) {
+                if (mCase.condition.hostRoom != HostRoom::kAsRefused || k == kMostRefusals) throw;
+                setup.options.hostMemoryBytes = grown(setup.options.hostMemoryBytes, refusal);
+            }
+        }
+    }
+
+    const StabilityCase& mCase;
+    const MethodSpec& mSpec;
+    const CellLimits& mLimits;
+    const MethodMaker& mMake;
+    CellRecord& mRecord;
+    ProgressPrinter mProgress{ProgressMode::kNever};
+};
+
+} // namespace
+
+void CellRecord::enter(CellPhase next)
+{
+    phaseBegan = monotonicSeconds();
+    phase = next;
+}
+
+void CellRecord::say(const std::string& text)
+{
+    const std::size_t length = std::min(text.size(), kMessageBytes - 1);
+    std::memcpy(message, text.data(), length);
+    message[length] = 0;
+}
+
+double monotonicSeconds()
+{
+    return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+void doCell(const StabilityCase& stabilityCase, const MethodSpec& spec, const CellLimits& limits,
+            const MethodMaker& make, CellRecord& record)
+{
+    CellRunner(stabilityCase, spec, limits, make, record).run();
+}
+
+} // namespace vdb_nns::cli
