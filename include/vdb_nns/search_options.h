@@ -33,8 +33,12 @@ struct SearchOptions {
     /// cells, 1 to 3 (SparseGrid::reach()). 0.5 makes masks smaller.
     /// 0: as suits the input. That is the voxels of a VDB grid where they serve as cells (a transform that does nothing
     /// but scale, radius between half a voxel's edge and one, every offset P within 1/2), which saves the sort; else
-    /// chosen by how dense the particles are.
+    /// chosen by how dense the particles are: 0.5 to 4.
     double cellSize = 0;
+
+    /// Whether a size that is chosen may be above 1, which is faster where few cells hold many particles and makes masks
+    /// up to three times as large. Not where hostMemoryBytes is set.
+    bool wideCells = true;
 
     NonFinite nonfinite = NonFinite::kSkip;
 

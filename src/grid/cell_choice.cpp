@@ -93,14 +93,14 @@ OccupiedCells countCells(const Occupancy& occupancy)
 } // namespace
 
 double chooseCellSize(const ParticleSource& source, const Placement& placement, const SparseGridData& grid,
-                      const std::uint32_t* leafOf)
+                      const std::uint32_t* leafOf, bool mayBeWide)
 {
     const std::size_t leaves = grid.leafCount();
     if (leaves == 0) return 1;
     const double meanPerLeaf =
         static_cast<double>(grid.leaves[leaves].firstSlot) / static_cast<double>(leaves);
     if (meanPerLeaf >= kCrowded * kLeafCells) return 0.5;
-    if (meanPerLeaf >= kFilled * kLeafCells) return 1; // its cells need not be looked at
+    if (!mayBeWide || meanPerLeaf >= kFilled * kLeafCells) return 1; // the cells need not be looked at
 
     const std::size_t stride = std::max<std::size_t>(1, leaves / kSampledLeaves);
     const std::size_t sampled = (leaves + stride - 1) / stride;

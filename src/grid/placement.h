@@ -47,9 +47,9 @@ Placement placeParticles(const ParticleSource& source, double radius, const Cell
 void mergeLeaves(std::vector<Chunk>& chunks, SparseGridData& grid);
 
 // The size, in radii, that a search of these particles is fastest with, from the occupied cells of some hundred leaves of a
-// grid of cells of the radius. The same for any order of the particles and any number of threads.
+// grid of cells of the radius; above 1 only where it may be. The same for any order of the particles and any number of threads.
 double chooseCellSize(const ParticleSource& source, const Placement& placement, const SparseGridData& grid,
-                      const std::uint32_t* leafOf);
+                      const std::uint32_t* leafOf, bool mayBeWide);
 
 CapacityError gridDoesNotFit(std::size_t particles, std::size_t leaves, std::uint64_t needed,
                              std::uint64_t allowed);

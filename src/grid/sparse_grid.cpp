@@ -170,9 +170,9 @@ void buildSparseGrid(const ParticleView& view, double radius, const SearchOption
         return placed;
     };
     Placement placed = place();
-    // Wide cells make larger masks: not where memory is bounded.
-    if (options.cellSize == 0 && options.hostMemoryBytes == 0) {
-        const double size = chooseCellSize(source, placed, grid, scratch.leafOf.data());
+    if (options.cellSize == 0) {
+        const bool mayBeWide = options.wideCells && options.hostMemoryBytes == 0;
+        const double size = chooseCellSize(source, placed, grid, scratch.leafOf.data(), mayBeWide);
         if (size != 1) {
             cells = cellsOfSize(size);
             placed = place();

@@ -11,6 +11,8 @@
 #include <string>
 
 #include <sys/mman.h>
+#include <sys/resource.h>
+#include <unistd.h>
 
 namespace vdb_nns {
 
@@ -37,6 +39,17 @@ std::uint64_t cgroupFreeBytes()
     return limit > used ? limit - used : 0;
 }
 
+// What a limit on the address space (ulimit -v) leaves.
+std::uint64_t addressSpaceBytes()
+{
+    constexpr std::uint64_t none = std::numeric_limits<std::uint64_t>::max();
+    rlimit limit = {};
+    if (getrlimit(RLIMIT_AS, &limit) != 0 || limit.rlim_cur == RLIM_INFINITY) return none;
+    const std::uint64_t used =
+        readNumber("/proc/self/statm", 0) * static_cast<std::uint64_t>(sysconf(_SC_PAGESIZE));
+    return limit.rlim_cur > used ? limit.rlim_cur - used : 0;
+}
+
 } // namespace
 
 PageBlock::PageBlock(std::size_t bytes)
@@ -51,8 +64,11 @@ PageBlock::PageBlock(std::size_t bytes)
         mmap(nullptr, mapped, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
     if (raw == MAP_FAILED) {
         mBytes = 0;
-        throw CapacityError("the system refused " + std::to_string(bytes) + " bytes of memory", bytes,
-                            availableMemoryBytes());
+        const std::uint64_t allowed = availableMemoryBytes();
+        throw CapacityError("the system refused " + std::to_string(bytes) + " bytes of memory, and " +
+                                std::to_string(allowed) +
+                                " are free: use mask lists or counts, a smaller radius, or bound the memory",
+                            bytes, allowed);
     }
     mData = raw;
     if (!huge) return;
@@ -83,7 +99,7 @@ std::uint64_t availableMemoryBytes()
         }
         std::getline(file, unit);
     }
-    available = std::min(available, cgroupFreeBytes());
+    available = std::min({available, cgroupFreeBytes(), addressSpaceBytes()});
     return available - available / 16;
 }
 

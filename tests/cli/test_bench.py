@@ -4,6 +4,7 @@ import os
 
 import numpy as np
 
+import cli_case
 from cli_case import CliCase
 
 
@@ -14,24 +15,46 @@ class Bench(CliCase):
         self.assertEqual((report["schema"], report["command"]), (1, "bench"))
         for key in ("version", "hash", "compiler", "cpu", "threads", "memory_bytes"):
             self.assertTrue(report["machine"][key], key)
-        self.assertEqual([r["method"] for r in report["results"]], ["ours-index", "ours-mask", "ours-count"])
-        self.assertEqual(report["estimators"], [])
+        names = [r["method"] for r in report["results"]]
+        self.assertEqual(names[:4], ["ours-index", "ours-mask", "ours-count", "ours-visit"])
+        for name in ("certified", "filter-only", "world-float", "world-double", "codec16", "codec8", "sampled50", "sampled10",
+                     "nearest32", "nearest16", "openvdb", "nanoflann-float", "nanoflann-double", "brute-force"):
+            self.assertIn(name, names)
+        for study in ("estimators", "budgets", "resolution", "scaling", "model_share", "savings", "stability"):
+            self.assertEqual(report[study], [])
         for result in report["results"]:
             self.assertEqual((result["scene"], result["points"]), ("clusters", 3000))
             self.assertEqual(set(result["seconds"]) - {"first"}, {"grid", "search", "total", "min", "max"})
             self.assertLessEqual(result["seconds"]["min"], result["seconds"]["total"])
             self.assertLessEqual(result["seconds"]["total"], result["seconds"]["max"])
-            self.assertEqual(set(result["memory"]), {"peak_rss_bytes", "structure_bytes", "list_bytes"})
-            self.assertGreater(result["memory"]["structure_bytes"], 0)
+            self.assertEqual(set(result["memory"]), {"peak_rss_bytes", "added_bytes", "structure_bytes", "list_bytes"})
+            self.assertEqual(result["memory"]["structure_bytes"] > 0, result["method"] != "brute-force")
             accuracy = result["accuracy"]
             self.assertEqual(accuracy["checked_queries"], 3000)
-            self.assertEqual((accuracy["missing"], accuracy["extra"], accuracy["max_ulp"]), (0, 0, 0))
-            self.assertEqual(accuracy["asymmetric"], None if result["method"] == "ours-count" else 0)
-        self.assertEqual(len({result["pairs"] for result in report["results"]}), 1)
+            self.assertTrue(accuracy["complete"])
+            self.check_accuracy(result)
+        by_kind = {kind: [r for r in report["results"] if r["kind"] == kind] for kind in
+                   ("engine", "part", "approximate", "peer")}
+        self.assertEqual(len({result["pairs"] for result in by_kind["engine"]}), 1)
+        self.assertEqual(sum(map(len, by_kind.values())), len(names))
         with open(self.path("x.csv")) as file:
             rows = list(csv.DictReader(file))
-        self.assertEqual([row["method"] for row in rows], ["ours-index", "ours-mask", "ours-count"])
+        self.assertEqual([row["method"] for row in rows], names)
         self.assertEqual([int(row["pairs"]) for row in rows], [r["pairs"] for r in report["results"]])
+
+    def check_accuracy(self, result):
+        accuracy, name = result["accuracy"], result["method"]
+        pairs = accuracy["true_pairs"]
+        self.assertEqual(result["pairs"], pairs - accuracy["missing"] + accuracy["extra"] + accuracy["duplicates"], name)
+        self.assertAlmostEqual(accuracy["missing_per_million"], 1e6 * accuracy["missing"] / pairs, delta=1e-6)
+        has_rows = name not in ("ours-count", "ours-visit")
+        self.assertEqual(accuracy["asymmetric"] is not None, has_rows, name)
+        if result["kind"] == "engine" or name in ("certified", "brute-force"):
+            self.assertEqual((accuracy["missing"], accuracy["extra"], accuracy["max_ulp"], accuracy["count_max"]), (0, 0, 0, 0))
+            self.assertFalse(accuracy["asymmetric"])
+        if result["kind"] == "approximate":
+            self.assertGreater(accuracy["missing"], 0, name)
+            self.assertGreater(accuracy["density_max"], 0, name)
 
     def test_file_and_options(self):
         path = self.scene("block", 1000)
@@ -44,9 +67,10 @@ class Bench(CliCase):
 
     def test_every_method_on_a_simulated_device(self):
         report = self.report("bench", "--scene", "block", "-n", "20000", "--repeat", "2", "--sample", "100", "--device",
-                             "sim", "--device-memory", "800KB", "--csv", self.path("x.csv"))
+                             "sim", "--device-memory", "800KB", "--csv", self.path("x.csv"), "--method", "ours,devices")
         families = ["in-core", "blocks", "blocks16", "blocks32", "blocks64", "both-cpu", "both-halo", "both-auto"]
-        names = ["ours-index", "ours-mask", "ours-count"] + [f"{f}-{e}" for f in families for e in ("index", "mask")]
+        names = ["ours-index", "ours-mask", "ours-count", "ours-visit"]
+        names += [f"{f}-{e}" for f in families for e in ("index", "mask")]
         by_name = {result["method"]: result for result in report["results"]}
         self.assertEqual(list(by_name), names)
         self.assertIs(report["all_agree"], True)
@@ -54,7 +78,7 @@ class Bench(CliCase):
         self.assertEqual(len({result["pairs"] for result in by_name.values()}), 1)
         self.assertEqual(len({r["checksum"] for r in by_name.values()} - {None}), 1)
         for name, result in by_name.items():
-            self.assertEqual(result["checksum"] is None, name == "ours-count")
+            self.assertEqual(result["checksum"] is None, name in ("ours-count", "ours-visit"))
             self.assertEqual(result["accuracy"]["missing"] + result["accuracy"]["extra"], 0)
             if name.startswith("ours"):
                 self.assertIsNone(result["device"])
@@ -104,9 +128,9 @@ class Bench(CliCase):
         self.assertGreater(by_name["blocks16-mask"]["blocks"], 4)
         self.assertIsNone(by_name["both-auto-mask"]["lower_bound_seconds"]) # neither part was measured
         out = self.succeeds(*args, "--method", "blocks-mask,ours-mask").out
-        self.assertRegex(out, r"(?m)^all methods find the same pairs$")
+        self.assertRegex(out, r"(?m)^the 2 exact methods find the same pairs$")
         self.assertRegex(out, r"(?m)^on simulated, in virtual time$")
-        self.assertEqual(len([line for line in out.splitlines() if line.startswith("blocks-mask")]), 2)
+        self.assertEqual(len([line for line in out.splitlines() if line.startswith("blocks-mask")]), 3)
 
     def test_in_core_is_in_core(self):
         args = ("bench", "--scene", "block", "-n", "5000", "--repeat", "1", "--device", "sim", "--sim", "memory=100KB")
@@ -149,7 +173,9 @@ class Bench(CliCase):
                      [path, "--method", "theirs"], [path, "--repeat", "0"], [path, "--sample", "x"],
                      ["--scene", "nonsense", "-n", "10"], [path, "--shuffle", "x"], [path, "-r", "0"],
                      [path, "--json", self.path("a"), "--csv", self.path("a")], [path, "--csv", path, "-f"],
-                     [path, "--stability"], [path, "--chart", "x.svg"]):
+                     [path, "--study", "everything"], [path, "--study", "scaling", "--csv", self.path("b")],
+                     [path, "--study", "methods", "--estimator", "all"], [path, "--chart", path, "-f"],
+                     [path, "--method", "ours-index@9999"], [path, "--method", "nearest0"]):
             self.fails(2, "bench", *args)
         self.fails(3, "bench", self.path("missing.vdb"), says="missing.vdb")
         self.assertTrue(os.path.getsize(path) > 1000)
@@ -159,7 +185,8 @@ class Bench(CliCase):
                              "--sample", "0", "--estimator", "all")
         by_name = {entry["estimator"]: entry for entry in report["estimators"]}
         self.assertEqual(list(by_name),
-                         ["paper", "uncorrected", "expected", "sampled", "counted", "fixed", "mask"])
+                         ["paper:1e3", "paper:1e4", "paper:1e5", "paper", "uncorrected", "expected", "sampled:0.1", "sampled:1",
+                          "sampled:3", "sampled:10", "counted", "fixed", "mask"])
         for name, entry in by_name.items():
             self.assertEqual(entry["scene"], "block")
             self.assertGreaterEqual(entry["seconds"], 0)
@@ -178,7 +205,7 @@ class Bench(CliCase):
         mean = self.report("search", self.scene("block", 50000))["result"]["mean"]
         for name, entry in by_name.items():
             keys = [entry[key] for key in ("particle_bias", "particle_rmse", "particle_correlation")]
-            if name not in ("paper", "uncorrected", "fixed"):
+            if name.split(":")[0] not in ("paper", "uncorrected", "fixed"):
                 self.assertEqual(keys, [None, None, None], name)
         for name in ("paper", "uncorrected"):
             entry = by_name[name]
@@ -206,3 +233,60 @@ class Bench(CliCase):
         self.assertEqual(names, ["fixed", "mask"])
         self.fails(2, *args, "--estimator", "guess", says=["--estimator", "guess", "expected"])
         self.fails(2, *args, "--estimator", "")
+
+    def test_every_study(self):
+        page = self.path("page.html")
+        report = self.report("bench", "--scene", "dam_break", "-n", "4000", "--repeat", "1", "--study", "all", "--method",
+                             "ours-index,filter-only,nearest8", "--chart", page)
+        scene = {entry["scene"] for study in ("results", "estimators", "budgets", "resolution", "scaling", "model_share",
+                                              "savings") for entry in report[study]}
+        self.assertEqual(scene, {"dam_break"})
+        self.assertEqual([round(100 * b["share"]) for b in report["budgets"]], 2 * [100, 50, 25, 10, 5, 2, 1])
+        for budget in report["budgets"]:
+            self.assertTrue(budget["model"])
+            self.assertEqual(budget["outcome"] == "refused", bool(budget["message"]))
+        self.assertEqual({r["encoding"] for r in report["resolution"]}, {"index", "mask", "none"})
+        self.assertEqual(sum(r["chosen"] for r in report["resolution"]), 3)
+        vary = {s["vary"] for s in report["scaling"]}
+        self.assertEqual(vary, {"points", "threads", "radius", "clustering"})
+        for entry in report["scaling"]:
+            if entry["method"].startswith("ours"):
+                self.assertEqual(entry["wrong_per_million"], 0)
+        shares = {(s["encoding"], s["in_core"]): s for s in report["model_share"]}
+        self.assertEqual(len(shares), 4)
+        for (encoding, in_core), share in shares.items():
+            seconds = share["seconds"]
+            self.assertEqual(in_core, seconds["estimate"] + seconds["tree"] + seconds["schedule"] == 0)
+            self.assertEqual(in_core, share["blocks"] == 0)
+        with open(page) as file:
+            text = file.read()
+        self.assertIn("dam_break", text)
+        self.assertIn("nearest8", text)
+
+    def test_charts_without_matplotlib(self):
+        empty = self.path("bin")
+        os.mkdir(empty)
+        os.symlink("/bin/false", os.path.join(empty, "python3"))
+        page = self.path("page.html")
+        environment = dict(os.environ, PATH=empty, PYTHONPATH=self.path("nothing"), PYTHONHOME=self.path("nothing"))
+        result = self.run_with(environment, "bench", "--scene", "block", "-n", "500", "--study", "methods", "--method",
+                               "ours-index", "--repeat", "1", "--chart", page)
+        self.assertEqual(result.code, 6)
+        self.assertIn("python3-matplotlib", result.err)
+        self.assertIn("ours-index", result.out) # the numbers still come
+        self.assertFalse(os.path.exists(page))
+
+    def run_with(self, environment, *args):
+        return cli_case.run(*args, env=environment)
+
+    def test_stability(self):
+        report = self.report("bench", "--stability", "--method", "ours-index,world-float,brute-force", "-T", "2")
+        self.assertEqual(report["results"], [])
+        cells = {(cell["case"], cell["method"]): cell for cell in report["stability"]}
+        self.assertGreater(len({case for case, _ in cells}), 60)
+        for (case, method), cell in cells.items():
+            self.assertIn(cell["verdict"], ("exact", "wrong", "refused", "crash", "hang", "memory", "skipped"))
+            if method == "ours-index":
+                self.assertIn(cell["verdict"], ("exact", "refused", "skipped"), (case, cell["message"]))
+        self.assertEqual(cells["far-1e7", "world-float"]["verdict"], "wrong")
+        self.assertEqual(cells["tie-0.1", "world-float"]["verdict"], "wrong")

@@ -302,7 +302,9 @@ private:
                 studyMethods(mPoints, truth(), methodOptions(parseMethods(mPlan.methods, mSuits)), span);
             setLowerBounds(report.results);
         } else if (study == "estimators") {
-            const SparseGrid grid = SearchEngine().buildGrid(mPoints.view, mRadius, mSetup.options);
+            SearchOptions options = mSetup.options;
+            options.wideCells = false; // estimates are for devices
+            const SparseGrid grid = SearchEngine().buildGrid(mPoints.view, mRadius, options);
             report.estimators =
                 measureEstimators(mPoints.scene, mPlan.estimators, grid, mPlan.repeat, &mProgress);
         } else if (study == "budgets") {

@@ -124,9 +124,10 @@ int planFile(const PlanFlags& flags, SearchOptions options, const DeviceRequest&
 int runPlanCommand(const PlanFlags& flags, Session& session)
 {
     const int wanted = threadCount(flags.common);
-    const SearchOptions options = checkFlags(flags);
+    SearchOptions options = checkFlags(flags);
     ThreadLimit threads(wanted);
     const DeviceRequest request = deviceRequest(flags.device, threads.count());
+    options.wideCells = request.devices.empty(); // masks are sent over the link
     return threads.run([&] { return planFile(flags, options, request, threads.count(), session); });
 }
 

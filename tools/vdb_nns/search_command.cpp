@@ -379,6 +379,7 @@ int runSearchCommand(const SearchFlags& flags, Session& session)
     SearchPlan plan = checkFlags(flags);
     ThreadLimit threads(plan.threads);
     plan.devices = deviceRequest(flags.device, threads.count());
+    plan.options.wideCells = plan.devices.devices.empty(); // masks are sent over the link
     return threads.run([&] { return searchFile(flags, plan, threads.count(), session); });
 }
 

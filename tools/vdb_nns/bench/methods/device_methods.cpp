@@ -70,6 +70,7 @@ public:
     {
         mRun.search = options;
         mRun.search.encoding = spec.encoding;
+        mRun.search.wideCells = false; // masks are sent over the link
         mRun.schedule = request.schedule;
         mRun.onFailure = DeviceFailure::kStop; // what the CPU took over would be another method
     }

@@ -43,7 +43,7 @@ struct RunCondition {
     HostRoom hostRoom = HostRoom::kFree;
     std::optional<std::uint64_t>
         addressBytes;                       ///< that the process may map, where that is less than its limit
-    std::uint64_t deviceBytes = 256u << 10; ///< of a simulated device
+    std::uint64_t deviceBytes = 128u << 10; ///< of a simulated device
     std::optional<double> deviceShare;      ///< the same, of what everything takes at once there
     std::optional<double> claimedNeighbors; ///< that a lying estimate takes every particle to have
 

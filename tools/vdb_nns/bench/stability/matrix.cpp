@@ -10,7 +10,7 @@ std::vector<MethodSpec> stabilityMethods()
     std::vector<MethodSpec> specs;
     for (const char* name : {"ours-index", "ours-mask", "ours-count", "ours-visit", "blocks-index",
                              "blocks-mask", "both-auto-index", "filter-only", "world-float", "world-double",
-                             "nearest32", "openvdb", "nanoflann-float", "nanoflann-double", "brute-force"}) {
+                             "openvdb", "nanoflann-float", "nanoflann-double", "brute-force"}) {
         if (missingPeer(name).empty()) specs.push_back(parseMethod(name));
     }
     return specs;

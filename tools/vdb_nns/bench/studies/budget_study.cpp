@@ -19,7 +19,9 @@ std::uint64_t bytesNeeded(const BenchPoints& points, const BudgetStudyOptions& o
     DeviceRequest request = options.setup.devices.request;
     request.devices.resize(1);
     request.devices[0].memoryBytes = std::numeric_limits<std::uint64_t>::max() / 4;
-    const SparseGrid grid = SearchEngine().buildGrid(points.view, options.radius, options.setup.options);
+    SearchOptions search = options.setup.options;
+    search.wideCells = false; // as methods on devices have it
+    const SparseGrid grid = SearchEngine().buildGrid(points.view, options.radius, search);
     SecondsReport seconds;
     return makePlan(grid, request, encoding, PlanDetail::kFull, span, seconds).everything.total();
 }

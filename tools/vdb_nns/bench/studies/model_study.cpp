@@ -48,7 +48,9 @@ DeviceRequest outOfCore(const BenchPoints& points, const ModelStudyOptions& opti
     DeviceRequest request = options.setup.devices.request;
     request.devices.resize(1);
     request.schedule.useCpu = false;
-    const SparseGrid grid = SearchEngine().buildGrid(points.view, options.radius, options.setup.options);
+    SearchOptions search = options.setup.options;
+    search.wideCells = false; // as methods on devices have it
+    const SparseGrid grid = SearchEngine().buildGrid(points.view, options.radius, search);
     SecondsReport seconds;
     request.devices[0].memoryBytes = std::uint64_t(1) << 60;
     const PlanReport whole = makePlan(grid, request, encoding, PlanDetail::kFull, span, seconds);
@@ -78,6 +80,7 @@ ModelShare measureShare(const BenchPoints& points, const ModelStudyOptions& opti
     RunOptions run;
     run.search = options.setup.options;
     run.search.encoding = encoding;
+    run.search.wideCells = share.inCore;
     Samples samples;
     SearchEngine engine;
     for (std::uint64_t r = 0; r <= options.repeat; ++r) {

@@ -1,0 +1,313 @@
+// The runner of stability cells says truly how a method fails, whatever it does to its process.
+#include "bench/stability/matrix.h"
+#include "bench/truth.h"
+#include "signals.h"
+#include "vdb_nns/error.h"
+
+#include <gtest/gtest.h>
+
+#include <cerrno>
+#include <csignal>
+#include <cstdlib>
+#include <functional>
+#include <iostream>
+#include <list>
+#include <sys/wait.h>
+#include <unistd.h>
+
+namespace vdb_nns::cli {
+namespace {
+
+class Double : public MethodWithResult {
+public:
+    using Run = std::function<std::unique_ptr<FoundNeighbors>(const ParticleView&, double)>;
+    explicit Double(Run run) : mRun(std::move(run)) {}
+
+    MethodRun run(const ParticleView& view, double radius, const ProgressSpan&) override
+    {
+        mFound = mRun(view, radius);
+        return {};
+    }
+
+private:
+    Run mRun;
+};
+
+// A cell of a method that does that.
+StabilityCell cellOf(const Double::Run& run, double seconds = 30, const char* caseName = "twice",
+                     MethodKind kind = MethodKind::kPeer)
+{
+    MethodSpec spec;
+    spec.name = "double";
+    spec.kind = kind;
+    CellLimits limits;
+    limits.seconds = seconds;
+    limits.bytes = std::uint64_t(512) << 20;
+    return runCell(stabilityCases({caseName}).front(), spec, limits,
+                   [&](const MethodSpec&, const MethodSetup&) { return std::make_unique<Double>(run); });
+}
+
+// The true rows, to be spoilt.
+std::unique_ptr<RowBuffers> trueRows(const ParticleView& view, double radius)
+{
+    const Truth truth = findTruth(view, radius, {});
+    auto rows = std::make_unique<RowBuffers>();
+    rows->places.resize(view.size());
+    rows->buffers.resize(view.size());
+    for (std::size_t k = 0; k < truth.queries.size(); ++k) {
+        const Span<const std::uint32_t> row = truth.row(k);
+        rows->places[truth.queries[k]] = {0, static_cast<std::uint32_t>(row.size()), truth.queries[k]};
+        rows->buffers[truth.queries[k]].assign(row.begin(), row.end());
+    }
+    return rows;
+}
+
+void setRow(RowBuffers& rows, std::uint32_t query, const std::vector<std::uint32_t>& row)
+{
+    rows.buffers[query] = row;
+    rows.places[query].count = static_cast<std::uint32_t>(row.size());
+}
+
+TEST(StabilityCell, OneThatIsRightIsExact)
+{
+    const StabilityCell cell = cellOf(trueRows);
+    EXPECT_EQ(cell.verdict, Verdict::kExact) << cell.message;
+    EXPECT_EQ(cell.missing + cell.extra + cell.duplicates, 0u);
+    EXPECT_EQ(cell.asymmetric, 0u);
+    EXPECT_GT(cell.seconds, 0);
+    EXPECT_LT(cell.seconds, 30);
+    EXPECT_GT(cell.peakBytes, 100'000u);
+    EXPECT_EQ(cell.caseName, "twice");
+    EXPECT_EQ(cell.group, "duplicates");
+    EXPECT_EQ(cell.method, "double");
+}
+
+TEST(StabilityCell, WrongPairsAreCounted)
+{
+    const StabilityCell cell = cellOf([](const ParticleView& view, double radius) {
+        auto rows = trueRows(view, radius);
+        for (std::uint32_t query = 0; query < 7; ++query) { // 7 missing
+            std::vector<std::uint32_t> row = rows->buffers[query];
+            row.pop_back();
+            setRow(*rows, query, row);
+        }
+        for (std::uint32_t query = 100; query < 103;
+             ++query) { // 3 extra: the last particle is at another corner
+            std::vector<std::uint32_t> row = rows->buffers[query];
+            row.push_back(static_cast<std::uint32_t>(view.size() - 1));
+            setRow(*rows, query, row);
+        }
+        std::vector<std::uint32_t> row = rows->buffers[200]; // 2 twice
+        row.insert(row.end(), {row[0], row[1]});
+        setRow(*rows, 200, row);
+        return rows;
+    });
+    EXPECT_EQ(cell.verdict, Verdict::kWrong);
+    EXPECT_EQ(cell.missing, 7u);
+    EXPECT_EQ(cell.extra, 3u);
+    EXPECT_EQ(cell.duplicates, 2u);
+    ASSERT_TRUE(cell.asymmetric.has_value());
+    EXPECT_EQ(*cell.asymmetric, 10u);
+}
+
+TEST(StabilityCell, WrongCountsAreCounted)
+{
+    const StabilityCell cell = cellOf([](const ParticleView& view, double radius) {
+        const auto rows = trueRows(view, radius);
+        std::vector<std::uint32_t> counts;
+        for (std::uint32_t i = 0; i < view.size(); ++i)
+            counts.push_back(static_cast<std::uint32_t>(rows->count(i)));
+        counts[3] += 4;
+        counts[5] -= 2;
+        return std::make_unique<CountedNeighbors>(counts);
+    });
+    EXPECT_EQ(cell.verdict, Verdict::kWrong);
+    EXPECT_EQ(cell.missing, 2u);
+    EXPECT_EQ(cell.extra, 4u);
+    EXPECT_FALSE(cell.asymmetric.has_value());
+}
+
+// Where rows are known: of all particles at one point.
+TEST(StabilityCell, KnownRowsAreChecked)
+{
+    const auto spoilt = [](int lost) {
+        return [lost](const ParticleView& view, double radius) {
+            auto rows = trueRows(view, radius);
+            std::vector<std::uint32_t> row = rows->buffers[1];
+            row.resize(row.size() - static_cast<std::size_t>(lost));
+            setRow(*rows, 1, row);
+            return rows;
+        };
+    };
+    EXPECT_EQ(cellOf(spoilt(0), 30, "coincident").verdict, Verdict::kExact);
+    const StabilityCell cell = cellOf(spoilt(9), 30, "coincident");
+    EXPECT_EQ(cell.verdict, Verdict::kWrong);
+    EXPECT_EQ(cell.missing, 9u);
+}
+
+TEST(StabilityCell, NumbersThatNoParticleHasAreWrongAndReadNothing)
+{
+    const StabilityCell cell = cellOf([](const ParticleView& view, double radius) {
+        auto rows = trueRows(view, radius);
+        setRow(*rows, 4, {0, 4'000'000'000u});
+        return rows;
+    });
+    EXPECT_EQ(cell.verdict, Verdict::kWrong);
+    EXPECT_EQ(cell.extra, 1u);
+    EXPECT_NE(cell.message.find("no particle"), std::string::npos);
+}
+
+TEST(StabilityCell, OtherPairsInAnotherOrderAreWrong)
+{
+    int runs = 0;
+    const StabilityCell cell = cellOf(
+        [&runs](const ParticleView& view, double radius) {
+            auto rows = trueRows(view, radius);
+            if (runs++ == 1) setRow(*rows, 0, {});
+            return rows;
+        },
+        30, "shuffled");
+    EXPECT_EQ(cell.verdict, Verdict::kWrong);
+    EXPECT_GT(cell.missing, 0u);
+    EXPECT_NE(cell.message.find("another order"), std::string::npos) << cell.message;
+}
+
+TEST(StabilityCell, AbortIsACrashWithItsLastWords)
+{
+    const StabilityCell cell = cellOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
+        std::cerr << "first words\nassertion that: failed" << std::endl;
+        std::abort();
+    });
+    EXPECT_EQ(cell.verdict, Verdict::kCrash);
+    EXPECT_EQ(cell.message, "SIGABRT: assertion that: failed");
+}
+
+TEST(StabilityCell, ASegmentationFaultIsACrash)
+{
+    const StabilityCell cell = cellOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
+        std::raise(SIGSEGV);
+        return nullptr;
+    });
+    EXPECT_EQ(cell.verdict, Verdict::kCrash);
+    EXPECT_EQ(cell.message, "SIGSEGV");
+}
+
+TEST(StabilityCell, ExitIsACrash)
+{
+    const StabilityCell cell =
+        cellOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> { std::exit(-1); });
+    EXPECT_EQ(cell.verdict, Verdict::kCrash);
+    EXPECT_EQ(cell.message, "ended the program with status 255");
+}
+
+// Not even with a status that says that all is well.
+TEST(StabilityCell, ExitWithNoughtIsACrash)
+{
+    const StabilityCell cell =
+        cellOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> { _exit(0); });
+    EXPECT_EQ(cell.verdict, Verdict::kCrash);
+    EXPECT_EQ(cell.message, "ended the program with status 0");
+}
+
+TEST(StabilityCell, OneThatSleepsHangs)
+{
+    const StabilityCell cell = cellOf(
+        [](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
+            for (;;) pause();
+        },
+        0.3);
+    EXPECT_EQ(cell.verdict, Verdict::kHang);
+    EXPECT_GE(cell.seconds, 0.3);
+    EXPECT_LT(cell.seconds, 10);
+}
+
+// SIGTERM, a full pipe of words and a closed stderr are no way around the deadline.
+TEST(StabilityCell, OneThatTalksForEverHangs)
+{
+    const StabilityCell cell = cellOf(
+        [](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
+            std::signal(SIGTERM, SIG_IGN);
+            for (int k = 0;; ++k) {
+                std::cerr << "still at it\n";
+                if (k == 100'000) close(STDERR_FILENO);
+            }
+        },
+        0.5);
+    EXPECT_EQ(cell.verdict, Verdict::kHang);
+}
+
+TEST(StabilityCell, MemoryWithoutEndIsRefusedByTheLimit)
+{
+    const StabilityCell cell = cellOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
+        std::list<std::vector<char>> all;
+        for (;;) all.emplace_back(10 << 20, 'x');
+    });
+    EXPECT_EQ(cell.verdict, Verdict::kMemory);
+    EXPECT_GT(cell.peakBytes, 200u << 20);
+    EXPECT_LT(cell.peakBytes, 4096ull << 20) << "512 MiB, and 80 MiB for each thread";
+}
+
+TEST(StabilityCell, ARefusalIsTold)
+{
+    const auto refuse = [](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
+        throw InvalidInput("no such radius");
+    };
+    StabilityCell cell = cellOf(refuse);
+    EXPECT_EQ(cell.verdict, Verdict::kRefused);
+    EXPECT_EQ(cell.message, "no such radius");
+    EXPECT_TRUE(oursHolds(cell)) << "a peer may";
+    cell = cellOf(refuse, 30, "twice", MethodKind::kEngine);
+    EXPECT_EQ(cell.verdict, Verdict::kRefused);
+    EXPECT_FALSE(oursHolds(cell)) << "an answer is due";
+    cell = cellOf(refuse, 30, "radius-0", MethodKind::kEngine);
+    EXPECT_FALSE(cell.isClear);
+    EXPECT_FALSE(oursHolds(cell)) << "a refusal is due, but a clear one";
+}
+
+TEST(StabilityCell, OursPromisesItsExceptions)
+{
+    const auto fail = [](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
+        throw std::out_of_range("vector::at");
+    };
+    EXPECT_EQ(cellOf(fail).verdict, Verdict::kRefused) << "of a peer";
+    const StabilityCell cell = cellOf(fail, 30, "twice", MethodKind::kEngine);
+    EXPECT_EQ(cell.verdict, Verdict::kCrash);
+    EXPECT_FALSE(oursHolds(cell));
+}
+
+// An answer to a radius that is none does not do, even one that is right by the letter.
+TEST(StabilityCell, WhereARefusalIsDueAnAnswerFails)
+{
+    const auto nobody = [](const ParticleView& view, double) {
+        return std::make_unique<CountedNeighbors>(std::vector<std::uint32_t>(view.size()));
+    };
+    const StabilityCell cell = cellOf(nobody, 30, "radius-nan", MethodKind::kEngine);
+    EXPECT_EQ(cell.verdict, Verdict::kExact);
+    EXPECT_FALSE(oursHolds(cell));
+}
+
+// In a process of its own, as a signal that came is remembered. Its exit status is 0 if it was cancelled and its child is gone.
+TEST(StabilityCell, SigintEndsTheChildToo)
+{
+    const pid_t pid = fork();
+    ASSERT_GE(pid, 0);
+    if (pid == 0) {
+        installSignalHandlers();
+        try {
+            cellOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
+                kill(getppid(), SIGINT);
+                for (;;) pause();
+            });
+        } catch (const Cancelled&) {
+            _exit(waitpid(-1, nullptr, WNOHANG) == -1 && errno == ECHILD ? 0 : 2);
+        }
+        _exit(1);
+    }
+    int status = 0;
+    ASSERT_EQ(waitpid(pid, &status, 0), pid);
+    EXPECT_TRUE(WIFEXITED(status));
+    EXPECT_EQ(WEXITSTATUS(status), 0);
+}
+
+} // namespace
+} // namespace vdb_nns::cli
