@@ -1,15 +1,22 @@
-// How wide cells should be. Wide cells have fewer leaves and more candidates a query: dense fluids want cells of the radius, or
+// How wide cells should be. Wide cells are fewer and give a query more candidates: dense fluids want cells of the radius, or
 // half of it; where few cells hold more than a handful of particles, finding and gathering cells costs more than the tests that
 // wider cells add. Measured on the scenes of docs/accuracy.md.
+//
+//   1. A glance at every thousandth particle: how many leaves they are in. Where those are few for all particles, the scene is
+//      dense, and nothing more is looked at.
+//   2. Else a pilot: one pass over all particles, which counts cells and particles of some hundred wide cells (2^3 cells),
+//      drawn by a hash of their coordinates.
+#include "grid/cell_map.h"
 #include "grid/placement.h"
 #include "particles/particle_source.h"
 
 #include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
 
 #include <algorithm>
-#include <array>
-#include <atomic>
 #include <bitset>
+#include <unordered_map>
+#include <unordered_set>
 #include <vector>
 
 namespace vdb_nns {
@@ -17,112 +24,131 @@ namespace vdb_nns {
 namespace {
 
 constexpr std::size_t kBatch = CellMap::kBatch;
-constexpr std::size_t kSampledLeaves = 512; // tell the occupied cells of all to some per cent
+constexpr std::size_t kGlance = 1024; // particles for one of the glance, but so many at least
+constexpr std::size_t kPilot = 2048;  // particles that the pilot counts at least
 constexpr double kLeafCells = 512;
 
 constexpr double kCrowded = 64; // particles a cell: half the radius is no slower and makes masks smaller
-constexpr double kFilled = 6;   // particles a cell: from here on cells of the radius are best
-constexpr double kRoomy = 10;   // particles a cell of twice the edge: above, the tests cost more than is won
-constexpr double kLone = 2.5;   // particles a cell of twice the edge: below, hardly anybody has a neighbor
+constexpr double kDense = 4;    // particles a cell if all cells were full: no look at the cells
+constexpr double kFilled = 6;   // particles an occupied cell: from here on cells of the radius are best
+constexpr double kLone = 2.5;   // particles a wide cell: below, hardly anybody has a neighbor
 
-using Occupancy = std::array<std::atomic<std::uint64_t>, 8>; // a bit a cell, as LeafRecord::occupancy
-
-// Numbers of sampled leaves, by local leaf of a chunk; kNotSampled for others.
-constexpr std::uint32_t kNotSampled = 0xffffffffu;
-
-std::vector<std::uint32_t> sampleOf(const Chunk& chunk, const SparseGridData& grid, std::size_t stride)
+std::uint64_t hashOf(std::int64_t x, std::int64_t y, std::int64_t z)
 {
-    std::vector<std::uint32_t> sample(chunk.cursor.size(), kNotSampled);
-    const auto firstLeaf = grid.leaves.begin(), endLeaf = grid.leaves.end() - 1;
-    for (std::size_t local = 0; local < sample.size(); ++local) {
-        const auto after = std::upper_bound(
-            firstLeaf, endLeaf, chunk.cursor[local],
-            [](std::uint32_t slot, const LeafRecord& leaf) { return slot < leaf.firstSlot; });
-        const auto leaf = static_cast<std::size_t>(after - firstLeaf) - 1;
-        if (leaf % stride == 0) sample[local] = static_cast<std::uint32_t>(leaf / stride);
-    }
-    return sample;
+    // Odd multipliers from the golden ratio and its powers, and the finaliser of SplitMix64 without its first step.
+    std::uint64_t h = static_cast<std::uint64_t>(x) * 0x9E3779B97F4A7C15u +
+                      static_cast<std::uint64_t>(y) * 0xC2B2AE3D27D4EB4Fu +
+                      static_cast<std::uint64_t>(z) * 0x165667B19E3779F9u;
+    h = (h ^ (h >> 32)) * 0x94d049bb133111ebu;
+    return h ^ (h >> 31);
 }
 
-// Marks the cells of the sampled particles of a chunk.
-void markCells(const ParticleSource& source, const CellMap& map, const Chunk& chunk,
-               const std::vector<std::uint32_t>& sample, const std::uint32_t* leafOf, Occupancy* occupancy)
+// Particles a leaf, at most: of all over the leaves that the glance meets. 0 where none is in range.
+double glanceAtLeaves(const ParticleSource& source, const CellMap& map)
+{
+    const std::size_t size = source.size();
+    const std::size_t glanced = std::min(size, std::max(kGlance, size / kGlance));
+    std::unordered_set<std::uint64_t> leaves;
+    double stored[3][kBatch];
+    CellMap::Located at;
+    for (std::size_t k = 0; k < glanced; ++k) {
+        // One of each of as many equal shares, anywhere in it: no lattice falls in step with that.
+        const std::size_t low = size * k / glanced, high = size * (k + 1) / glanced;
+        const std::size_t i = low + hashOf(static_cast<std::int64_t>(k), 0, 0) % (high - low);
+        source.read(i, 1, map.reference, stored[0], stored[1], stored[2]);
+        if (!map.inRange(stored[0][0], stored[1][0], stored[2][0])) continue;
+        map.locate(stored, 1, at);
+        leaves.insert(hashOf(at.leaf[0][0], at.leaf[1][0], at.leaf[2][0]));
+    }
+    return leaves.empty() ? 0 : static_cast<double>(size) / static_cast<double>(leaves.size());
+}
+
+// A wide cell: its occupied cells, a bit each, and its particles.
+struct WideCell {
+    unsigned cells = 0;
+    std::uint64_t particles = 0;
+};
+using WideCells = std::unordered_map<std::uint64_t, WideCell>; // by hash
+
+// Bits of a wide cell's coordinates, well mixed from bit 31 down. In 32 bits, so that a loop of it is vectorised.
+std::uint32_t lotOf(std::uint32_t x, std::uint32_t y, std::uint32_t z)
+{
+    std::uint32_t h = x * 0x9E3779B1u ^ y * 0x85EBCA77u ^ z * 0xC2B2AE3Du;
+    h = (h ^ h >> 15) * 0x2C1B3C6Du;
+    return h ^ h >> 13;
+}
+
+// Cell coordinate along an axis, modulo 2^32.
+std::uint32_t cellOf(const CellMap::Located& at, int axis, std::size_t i)
+{
+    return static_cast<std::uint32_t>(at.leaf[axis][i]) * 8 + cellInLeaf(at.local[axis][i]);
+}
+
+// Particles whose wide cell has a lot below 2^(32 - log2Shares).
+void countCells(const ParticleSource& source, const CellMap& map, std::size_t begin, std::size_t end,
+                int log2Shares, WideCells& found)
 {
     double stored[3][kBatch];
     CellMap::Located at;
-    const auto isSampled = [&](std::size_t i) {
-        return leafOf[i] != kNoLeaf && sample[leafOf[i]] != kNotSampled;
-    };
-    for (std::size_t begin = chunk.begin; begin < chunk.end; begin += kBatch) {
-        const std::size_t n = std::min(kBatch, chunk.end - begin);
-        std::size_t first = 0;
-        while (first < n && !isSampled(begin + first)) ++first;
-        if (first == n) continue;
+    std::uint32_t lots[kBatch];
+    for (; begin < end; begin += kBatch) {
+        const std::size_t n = std::min(kBatch, end - begin);
         source.read(begin, n, map.reference, stored[0], stored[1], stored[2]);
-        map.locate(stored, n, at);
-        for (std::size_t i = first; i < n; ++i) {
-            if (!isSampled(begin + i)) continue;
-            const unsigned x = cellInLeaf(at.local[0][i]),
-                           yz = cellInLeaf(at.local[1][i]) << 3 | cellInLeaf(at.local[2][i]);
-            occupancy[sample[leafOf[begin + i]]][x].fetch_or(std::uint64_t(1) << yz,
-                                                             std::memory_order_relaxed);
+        const bool allInRange = map.locate(stored, n, at);
+        for (std::size_t i = 0; i < n; ++i)
+            lots[i] = lotOf(cellOf(at, 0, i) >> 1, cellOf(at, 1, i) >> 1, cellOf(at, 2, i) >> 1);
+        for (std::size_t i = 0; i < n; ++i) {
+            if (std::uint64_t(lots[i]) >> (32 - log2Shares)) continue;
+            if (!allInRange && !map.inRange(stored[0][i], stored[1][i], stored[2][i])) continue;
+            const std::uint32_t x = cellOf(at, 0, i), y = cellOf(at, 1, i), z = cellOf(at, 2, i);
+            WideCell& wide = found[hashOf(x >> 1, y >> 1, z >> 1)];
+            wide.cells |= 1u << ((x & 1) << 2 | (y & 1) << 1 | (z & 1));
+            ++wide.particles;
         }
     }
 }
 
-// Occupied cells of a leaf, and how many they are when two are one along each axis.
-struct OccupiedCells {
-    std::uint64_t cells = 0, wideCells = 0;
+// Mean particles of occupied cells and of occupied wide cells; 0 where the pilot met none.
+struct Occupancy {
+    double perCell = 0, perWideCell = 0;
 };
 
-OccupiedCells countCells(const Occupancy& occupancy)
+Occupancy runPilot(const ParticleSource& source, const CellMap& map)
 {
-    OccupiedCells counts;
-    for (std::size_t x = 0; x < 8; x += 2) {
-        const std::uint64_t low = occupancy[x], high = occupancy[x + 1];
-        counts.cells += std::bitset<64>(low).count() + std::bitset<64>(high).count();
-        std::uint64_t both = low | high;
-        both |= both >> 1;           // along z
-        both |= both >> 8;           // along y
-        both &= 0x0055005500550055u; // the even ones
-        counts.wideCells += std::bitset<64>(both).count();
+    int log2Shares = 0;
+    while (source.size() >> log2Shares > 2 * kPilot) ++log2Shares;
+    const auto parts = 4 * static_cast<std::size_t>(tbb::this_task_arena::max_concurrency());
+    std::vector<WideCells> found(parts);
+    tbb::parallel_for(std::size_t(0), parts, [&](std::size_t p) {
+        countCells(source, map, source.size() * p / parts, source.size() * (p + 1) / parts, log2Shares,
+                   found[p]);
+    });
+    for (std::size_t p = 1; p < parts; ++p) {
+        for (const auto& [hash, wide] : found[p]) {
+            WideCell& sum = found[0][hash];
+            sum.cells |= wide.cells;
+            sum.particles += wide.particles;
+        }
     }
-    return counts;
+    double cells = 0, particles = 0;
+    for (const auto& entry : found[0]) {
+        cells += static_cast<double>(std::bitset<8>(entry.second.cells).count());
+        particles += static_cast<double>(entry.second.particles);
+    }
+    if (found[0].empty()) return {};
+    return {particles / cells, particles / static_cast<double>(found[0].size())};
 }
 
 } // namespace
 
-double chooseCellSize(const ParticleSource& source, const Placement& placement, const SparseGridData& grid,
-                      const std::uint32_t* leafOf, bool mayBeWide)
+double chooseCellSize(const ParticleSource& source, const CellMap& map, bool mayBeWide)
 {
-    const std::size_t leaves = grid.leafCount();
-    if (leaves == 0) return 1;
-    const double meanPerLeaf =
-        static_cast<double>(grid.leaves[leaves].firstSlot) / static_cast<double>(leaves);
-    if (meanPerLeaf >= kCrowded * kLeafCells) return 0.5;
-    if (!mayBeWide || meanPerLeaf >= kFilled * kLeafCells) return 1; // the cells need not be looked at
-
-    const std::size_t stride = std::max<std::size_t>(1, leaves / kSampledLeaves);
-    const std::size_t sampled = (leaves + stride - 1) / stride;
-    std::vector<Occupancy> occupancy(sampled);
-    tbb::parallel_for(std::size_t(0), placement.chunks.size(), [&](std::size_t c) {
-        const Chunk& chunk = placement.chunks[c];
-        markCells(source, placement.map, chunk, sampleOf(chunk, grid, stride), leafOf, occupancy.data());
-    });
-    OccupiedCells all;
-    std::uint64_t particles = 0;
-    for (std::size_t s = 0; s < sampled; ++s) {
-        const OccupiedCells counts = countCells(occupancy[s]);
-        all.cells += counts.cells;
-        all.wideCells += counts.wideCells;
-        particles += grid.leaves[s * stride + 1].firstSlot - grid.leaves[s * stride].firstSlot;
-    }
-    const double perCell = static_cast<double>(particles) / static_cast<double>(all.cells);
-    const double perWideCell = static_cast<double>(particles) / static_cast<double>(all.wideCells);
-    if (perCell >= kCrowded) return 0.5;
-    if (perCell >= kFilled) return 1;
-    if (perWideCell > kRoomy) return 1.5;
-    return perWideCell > kLone ? 2 : 4;
+    const double perLeaf = glanceAtLeaves(source, map);
+    if (perLeaf >= kCrowded * kLeafCells) return 0.5;
+    if (!mayBeWide || perLeaf == 0 || perLeaf >= kDense * kLeafCells) return 1;
+    const Occupancy occupancy = runPilot(source, map);
+    if (occupancy.perCell >= kFilled || occupancy.perCell == 0) return 1;
+    return occupancy.perWideCell > kLone ? 2 : 4;
 }
 
 } // namespace vdb_nns

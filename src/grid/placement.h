@@ -46,10 +46,10 @@ Placement placeParticles(const ParticleSource& source, double radius, const Cell
 // Leaves of all chunks in Morton order; sets the chunks' cursors and the leaves' first slots.
 void mergeLeaves(std::vector<Chunk>& chunks, SparseGridData& grid);
 
-// The size, in radii, that a search of these particles is fastest with, from the occupied cells of some hundred leaves of a
-// grid of cells of the radius; above 1 only where it may be. The same for any order of the particles and any number of threads.
-double chooseCellSize(const ParticleSource& source, const Placement& placement, const SparseGridData& grid,
-                      const std::uint32_t* leafOf, bool mayBeWide);
+// The size, in radii, that a search of these particles is fastest with; above 1 only where it may be. The same for any number of
+// threads. `map` is of cells of the radius.
+// Cost: a thousandth of a pass over the particles, and where they are not dense a pass.
+double chooseCellSize(const ParticleSource& source, const CellMap& map, bool mayBeWide);
 
 CapacityError gridDoesNotFit(std::size_t particles, std::size_t leaves, std::uint64_t needed,
                              std::uint64_t allowed);

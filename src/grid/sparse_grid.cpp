@@ -159,28 +159,21 @@ void buildSparseGrid(const ParticleView& view, double radius, const SearchOption
     const CancelCheck cancel(options.progress, "grid");
     if (options.cellSize == 0 && takeOverLeaves(view, radius, options, grid)) return;
     scratch.leafOf.resizeDiscarding(source.size());
-    CellChoice cells = cellsOfSize(options.cellSize > 0 ? options.cellSize : 1);
-    const auto place = [&] {
-        Placement placed = placeParticles(source, radius, cells, options, scratch.leafOf.data(), cancel);
-        if (placed.nonfinite > 0 && options.nonfinite == NonFinite::kFail) {
-            throw InputError(std::to_string(placed.nonfinite) + " of " + std::to_string(source.size()) +
-                             " particles have a position that is NaN or infinite: repair them or skip them");
-        }
-        mergeLeaves(placed.chunks, grid);
-        return placed;
-    };
-    Placement placed = place();
-    if (options.cellSize == 0) {
-        const bool mayBeWide = options.wideCells && options.hostMemoryBytes == 0;
-        const double size = chooseCellSize(source, placed, grid, scratch.leafOf.data(), mayBeWide);
-        if (size != 1) {
-            cells = cellsOfSize(size);
-            placed = place();
-        }
+    double cellSize = options.cellSize;
+    if (cellSize == 0) {
+        const CellMap map(source, radius, 1, options.simd);
+        cellSize = chooseCellSize(source, map, options.wideCells && options.hostMemoryBytes == 0);
+    }
+    const CellChoice cells = cellsOfSize(cellSize);
+    Placement placed = placeParticles(source, radius, cells, options, scratch.leafOf.data(), cancel);
+    if (placed.nonfinite > 0 && options.nonfinite == NonFinite::kFail) {
+        throw InputError(std::to_string(placed.nonfinite) + " of " + std::to_string(source.size()) +
+                         " particles have a position that is NaN or infinite: repair them or skip them");
     }
     cancel.update(0.3);
     const CellMap& map = placed.map;
     std::vector<Chunk>& chunks = placed.chunks;
+    mergeLeaves(chunks, grid);
     grid.view = view;
     grid.radius = radius;
     grid.reach = cells.reach;

@@ -398,7 +398,7 @@ TEST(SparseGrid, CellsFollowTheDensity)
     };
     for (const Case& c :
          {Case{"block", 2, 1}, Case{"block", 1, 2}, Case{"block", 0.6, 4}, Case{"block", 6, 0.5},
-          Case{"sheet", 2, 1.5}, Case{"spray", 2, 2}, Case{"clusters", 2, 2}}) {
+          Case{"sheet", 2, 2}, Case{"spray", 2, 2}, Case{"clusters", 2, 2}}) {
         SceneOptions sceneOptions;
         sceneOptions.name = c.scene;
         sceneOptions.count = 60000;

@@ -259,7 +259,7 @@ std::vector<MethodSpec> growingMethods(const MethodSuits& suits)
 {
     std::vector<MethodSpec> specs = parseMethods("ours-index,ours-mask,world-float", suits);
     for (const MethodSpec& peer : parseMethods("peers", suits)) {
-        if (peer.family == "openvdb" || peer.family == "nanoflann-double") specs.push_back(peer);
+        if (peer.family == "openvdb") specs.push_back(peer);
     }
     return specs;
 }

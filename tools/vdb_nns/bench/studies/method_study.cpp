@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <atomic>
 #include <memory>
+#include <numeric>
 
 namespace vdb_nns::cli {
 namespace {
@@ -70,17 +71,28 @@ void addRun(const MethodRun& run, MethodTimes& times)
     if (run.device) times.device.push_back(*run.device);
 }
 
+// Another order in each run: what one method leaves behind in caches and memory is not always met by the same one.
+std::vector<std::size_t> orderOf(std::size_t count, std::uint64_t run)
+{
+    std::vector<std::size_t> order(count);
+    std::iota(order.begin(), order.end(), std::size_t(0));
+    std::sort(order.begin(), order.end(),
+              [run](std::size_t a, std::size_t b) { return mix64(mix64(run) + a) < mix64(mix64(run) + b); });
+    return order;
+}
+
 // Run 0 warms up and is not counted; the result of the last one stays, to be checked.
 void measureTurn(const std::vector<std::unique_ptr<Method>>& methods, const BenchPoints& points,
                  const MethodStudyOptions& options, const ProgressSpan& span, std::vector<MethodTimes>& times)
 {
     const double step = (span.end - span.begin) / static_cast<double>((options.repeat + 1) * methods.size());
+    double from = span.begin;
     for (std::uint64_t run = 0; run <= options.repeat; ++run) {
-        for (std::size_t m = 0; m < methods.size(); ++m) {
+        for (const std::size_t m : orderOf(methods.size(), run)) {
+            from += step;
             if (!methods[m]) continue; // of another turn
-            const double from = span.begin + step * static_cast<double>(run * methods.size() + m);
             times[m].last =
-                runOnce(*methods[m], options.methods[m], points, options, {span.printer, from, from + step});
+                runOnce(*methods[m], options.methods[m], points, options, {span.printer, from - step, from});
             if (run < options.repeat) methods[m]->discard();
             if (run > 0) addRun(times[m].last, times[m]);
         }
