@@ -37,7 +37,7 @@ struct SearchOptions {
     double cellSize = 0;
 
     /// Whether a size that is chosen may be above 1, which is faster where few cells hold many particles and makes masks
-    /// up to three times as large. Not where hostMemoryBytes is set.
+    /// two to three times as large. Not where hostMemoryBytes is set.
     bool wideCells = true;
 
     NonFinite nonfinite = NonFinite::kSkip;

@@ -14,7 +14,7 @@ struct SparseGridData; // src/grid/sparse_grid_data.h
 
 /// Immutable; a cheap handle whose copies share the data. Safe to read from several threads.
 ///
-/// Space is cut into cubic cells of edge cellSize() (radius / reach, a hair wider, or a voxel's), numbered by
+/// Space is cut into cubic cells of edge cellSize() (SearchOptions::cellSize, a hair wider, or a voxel's), numbered by
 /// integer cell coordinates; 8^3 cells are a leaf, and the tree above the leaves is OpenVDB's (nodes of 128^3 and 4096^3 cells).
 /// Only occupied leaves exist. Leaves stand in Morton order within a 4096^3 node, so every octant of a node is a
 /// contiguous range of leaves. Inside a leaf the cells stand in OpenVDB's linear order, (x * 8 + y) * 8 + z, and inside

@@ -14,7 +14,7 @@
 #include <tbb/task_arena.h>
 
 #include <algorithm>
-#include <bitset>
+#include <array>
 #include <unordered_map>
 #include <unordered_set>
 #include <vector>
@@ -31,7 +31,11 @@ constexpr double kLeafCells = 512;
 constexpr double kCrowded = 64; // particles a cell: half the radius is no slower and makes masks smaller
 constexpr double kDense = 4;    // particles a cell if all cells were full: no look at the cells
 constexpr double kFilled = 6;   // particles an occupied cell: from here on cells of the radius are best
-constexpr double kLone = 2.5;   // particles a wide cell: below, hardly anybody has a neighbor
+// Particles in the wide cell of the mean particle: above, the tests begin to cost.
+constexpr double kCrowdedWide = 48;
+constexpr double kCompact =
+    5; // but on surfaces and in clusters, where wide cells hold far less than eight times as many
+constexpr double kLone = 2.5; // particles a wide cell: below, hardly anybody has a neighbor
 
 std::uint64_t hashOf(std::int64_t x, std::int64_t y, std::int64_t z)
 {
@@ -63,11 +67,8 @@ double glanceAtLeaves(const ParticleSource& source, const CellMap& map)
     return leaves.empty() ? 0 : static_cast<double>(size) / static_cast<double>(leaves.size());
 }
 
-// A wide cell: its occupied cells, a bit each, and its particles.
-struct WideCell {
-    unsigned cells = 0;
-    std::uint64_t particles = 0;
-};
+// A wide cell: particles of its cells.
+using WideCell = std::array<std::uint32_t, 8>;
 using WideCells = std::unordered_map<std::uint64_t, WideCell>; // by hash
 
 // Bits of a wide cell's coordinates, well mixed from bit 31 down. In 32 bits, so that a loop of it is vectorised.
@@ -102,16 +103,35 @@ void countCells(const ParticleSource& source, const CellMap& map, std::size_t be
             if (!allInRange && !map.inRange(stored[0][i], stored[1][i], stored[2][i])) continue;
             const std::uint32_t x = cellOf(at, 0, i), y = cellOf(at, 1, i), z = cellOf(at, 2, i);
             WideCell& wide = found[hashOf(x >> 1, y >> 1, z >> 1)];
-            wide.cells |= 1u << ((x & 1) << 2 | (y & 1) << 1 | (z & 1));
-            ++wide.particles;
+            ++wide[(x & 1) << 2 | (y & 1) << 1 | (z & 1)];
         }
     }
 }
 
-// Mean particles of occupied cells and of occupied wide cells; 0 where the pilot met none.
+// Of occupied cells and of occupied wide cells: particles of the mean cell, and of the cell of the mean particle, which is what
+// a query meets. 0 where the pilot met none.
 struct Occupancy {
     double perCell = 0, perWideCell = 0;
+    double crowd = 0, wideCrowd = 0;
 };
+
+Occupancy occupancyOf(const WideCells& found)
+{
+    double cells = 0, particles = 0, squares = 0, wideSquares = 0;
+    for (const auto& entry : found) {
+        double sum = 0;
+        for (const std::uint32_t count : entry.second) {
+            cells += count > 0;
+            sum += count;
+            squares += double(count) * count;
+        }
+        particles += sum;
+        wideSquares += sum * sum;
+    }
+    if (found.empty()) return {};
+    return {particles / cells, particles / static_cast<double>(found.size()), squares / particles,
+            wideSquares / particles};
+}
 
 Occupancy runPilot(const ParticleSource& source, const CellMap& map)
 {
@@ -126,17 +146,10 @@ Occupancy runPilot(const ParticleSource& source, const CellMap& map)
     for (std::size_t p = 1; p < parts; ++p) {
         for (const auto& [hash, wide] : found[p]) {
             WideCell& sum = found[0][hash];
-            sum.cells |= wide.cells;
-            sum.particles += wide.particles;
+            for (std::size_t c = 0; c < wide.size(); ++c) sum[c] += wide[c];
         }
     }
-    double cells = 0, particles = 0;
-    for (const auto& entry : found[0]) {
-        cells += static_cast<double>(std::bitset<8>(entry.second.cells).count());
-        particles += static_cast<double>(entry.second.particles);
-    }
-    if (found[0].empty()) return {};
-    return {particles / cells, particles / static_cast<double>(found[0].size())};
+    return occupancyOf(found[0]);
 }
 
 } // namespace
@@ -148,7 +161,10 @@ double chooseCellSize(const ParticleSource& source, const CellMap& map, bool may
     if (!mayBeWide || perLeaf == 0 || perLeaf >= kDense * kLeafCells) return 1;
     const Occupancy occupancy = runPilot(source, map);
     if (occupancy.perCell >= kFilled || occupancy.perCell == 0) return 1;
-    return occupancy.perWideCell > kLone ? 2 : 4;
+    const bool addsManyTests =
+        occupancy.wideCrowd > kCrowdedWide && occupancy.wideCrowd > kCompact * occupancy.crowd;
+    if (addsManyTests) return 1;
+    return occupancy.perWideCell > kLone || occupancy.wideCrowd > 2 * kLone ? 2 : 4;
 }
 
 } // namespace vdb_nns

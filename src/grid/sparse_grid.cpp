@@ -152,18 +152,14 @@ void checkGridCapacity(const SparseGridData& grid, const GridNeed& need, std::ui
     if (needed > allowed) throw gridDoesNotFit(need.particles, leaves, needed, allowed);
 }
 
-void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options,
-                     GridScratch& scratch, SparseGridData& grid)
+namespace {
+
+void sortIntoCells(const ParticleView& view, double radius, double cellSize, const SearchOptions& options,
+                   GridScratch& scratch, SparseGridData& grid)
 {
     const ParticleSource& source = view.source();
     const CancelCheck cancel(options.progress, "grid");
-    if (options.cellSize == 0 && takeOverLeaves(view, radius, options, grid)) return;
     scratch.leafOf.resizeDiscarding(source.size());
-    double cellSize = options.cellSize;
-    if (cellSize == 0) {
-        const CellMap map(source, radius, 1, options.simd);
-        cellSize = chooseCellSize(source, map, options.wideCells && options.hostMemoryBytes == 0);
-    }
     const CellChoice cells = cellsOfSize(cellSize);
     Placement placed = placeParticles(source, radius, cells, options, scratch.leafOf.data(), cancel);
     if (placed.nonfinite > 0 && options.nonfinite == NonFinite::kFail) {
@@ -204,6 +200,26 @@ void buildSparseGrid(const ParticleView& view, double radius, const SearchOption
     };
     sortCells(scratch, grid, checkCells, cancel);
     cancel.update(1);
+}
+
+} // namespace
+
+void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options,
+                     GridScratch& scratch, SparseGridData& grid)
+{
+    if (options.cellSize > 0) return sortIntoCells(view, radius, options.cellSize, options, scratch, grid);
+    if (takeOverLeaves(view, radius, options, grid)) return;
+    const CellMap map(view.source(), radius, 1, options.simd);
+    const bool mayBeWide = options.wideCells && options.hostMemoryBytes == 0;
+    const double chosen = chooseCellSize(view.source(), map, mayBeWide);
+    if (chosen < 1) {
+        try {
+            return sortIntoCells(view, radius, chosen, options, scratch, grid);
+        } catch (const InputError&) {
+            // Too many cells from end to end: with half as many it may do.
+        }
+    }
+    sortIntoCells(view, radius, std::max(chosen, 1.0), options, scratch, grid);
 }
 
 std::uint64_t SparseGridData::bytes() const

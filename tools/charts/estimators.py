@@ -16,6 +16,7 @@ FAMILIES = {
     "mask": ("X", BLACK),
 }
 HEIGHT = 230
+SMALLEST = 1e-3  # per cent of error; less is rounding, or a scene of one block
 
 
 def charts(report, machine):
@@ -32,7 +33,7 @@ def charts(report, machine):
         "Estimators: error against time",
         "up to which relative error the expected pairs of 99 % of the blocks are right, "
         "against the time it takes · "
-        "low and left is good\nthe line joins those that no other beats in both",
+        "low and left is good\nthe line joins those that no other beats in both · below 0.001 % is drawn at 0",
     )
     panels = Panels([_title(report, scene) for scene in found], [HEIGHT], words, machine)
     zeros = [36 if any(point[axis] <= 0 for point in every) else 0 for axis in (1, 2)]
@@ -52,7 +53,9 @@ def _point(row):
     """(name, time in % of a count, p99 error in %), None where either is unknown."""
     time = divide(number(row, "seconds"), number(row, "count_seconds"), 100)
     error = number(row, "p99")
-    return None if time is None or error is None else (text(row, "estimator"), time, 100 * error)
+    if time is None or error is None:
+        return None
+    return text(row, "estimator"), time, 100 * error if 100 * error >= SMALLEST else 0
 
 
 def _title(report, scene):

@@ -11,9 +11,9 @@ SHORT_HOW = (
 )
 SPEED_HOW = (
     "Each mark is a method. Left of the cut: no wrong pair found. Right of it: the further, the more "
-    "pairs are missing or extra. Higher is faster. The line is the Pareto front: methods that no measured "
-    "one beats in both; the grey ones are beaten. Hollow marks are times that a model of a device gave, "
-    "and beat nobody."
+    "pairs are missing or extra. Higher is faster. The line is the Pareto front of measured methods that "
+    "make lists: no other beats them in both; the grey ones are beaten. Methods without lists do less and "
+    "beat nobody; hollow marks are times that a model of a device gave, and beat nobody either."
 )
 RESULTS_HOW = (
     "All methods of the chart above in figures: the fastest first, those with the time of a model last. "

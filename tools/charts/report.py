@@ -10,7 +10,7 @@ KEYS = {
     "results": ("scene", "method"),
     "estimators": ("scene", "estimator"),
     "budgets": ("scene", "device", "model", "encoding", "share"),
-    "resolution": ("scene", "encoding", "cell_size"),
+    "resolution": ("scene", "encoding", "cell_size", "chosen"),
     "scaling": ("scene", "method", "vary", "value"),
     "model_share": ("scene", "encoding", "in_core"),
     "savings": ("scene", "part", "unit"),
@@ -142,6 +142,12 @@ def is_model(result):
     """Whether its seconds are computed from a model of a device instead of measured."""
     device = result.get("device")
     return isinstance(device, dict) and device.get("virtual") is True
+
+
+def has_lists(result):
+    """Whether it found lists; counts alone have no density."""
+    accuracy = result.get("accuracy")
+    return not (isinstance(accuracy, dict) and "density_rmse" in accuracy and accuracy["density_rmse"] is None)
 
 
 def true_pairs(result):

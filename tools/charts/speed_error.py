@@ -1,12 +1,14 @@
 """Chart A: speed against error of every method on one scene, with the Pareto front.
 
 The left column is "no wrong pair"; a logarithm of wrong pairs per million lies right of it. Methods whose
-seconds come from a model of a device are hollow and take no part in the front: a computed time beats nobody.
+seconds come from a model of a device are hollow and take no part in the front: a computed time beats nobody;
+neither do those that make no lists.
 """
 
 from charts import labels
 from charts.report import (
     divide,
+    has_lists,
     is_model,
     is_sampled,
     million_per_second,
@@ -58,6 +60,7 @@ class Point:
 
     def __init__(self, result):
         self.name, self.model = text(result, "method"), is_model(result)
+        self.lists = has_lists(result)
         kind = text(result, "kind")
         self.kind = kind if kind in KINDS else ""
         self.wrong, self.speed = wrong_per_million(result), million_per_second(result)
@@ -70,12 +73,12 @@ class Point:
         return self.wrong is not None and self.speed is not None and self.speed > 0
 
     def words(self):
-        return self.name + (" (model)" if self.model else "")
+        return self.name + (" (model)" if self.model else "") + ("" if self.lists else " (no lists)")
 
 
 def mark_front(points):
-    """Finds the measured points that no other measured one beats."""
-    measured = [point for point in points if not point.model]
+    """Finds the measured points with lists that no other of them beats."""
+    measured = [point for point in points if point.lists and not point.model]
     for point, is_front in zip(measured, pareto([(point.wrong, point.speed) for point in measured])):
         point.front = is_front
 
@@ -207,7 +210,7 @@ def _draw_front(area, points, places, width):
 
 def _draw_marker(area, point, place, up):
     _, marker, color = KINDS[point.kind]
-    edge = color if point.front or point.model else GREY
+    edge = color if point.front or point.model or not point.lists else GREY
     area.plot([place[0]] * 2, [up.at(point.low), up.at(point.high)], color=edge, lw=1, zorder=3)
     area.plot(
         *place,

@@ -2,6 +2,7 @@
 
 from charts.report import (
     divide,
+    has_lists,
     is_model,
     million_per_second,
     nanoseconds_per_neighbor,
@@ -162,7 +163,7 @@ def _fastest(rows, kind):
         and wrong_per_million(row) == 0
         and not is_model(row)
         and million_per_second(row)
-        and number(row, "memory", "list_bytes")
+        and has_lists(row)
     ]
     return max(right, key=million_per_second, default={})
 

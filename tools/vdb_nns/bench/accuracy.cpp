@@ -4,6 +4,7 @@
 #include "verify/point_cells.h"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <iterator>
 #include <limits>
@@ -13,12 +14,15 @@
 namespace vdb_nns::cli {
 namespace {
 
+constexpr std::uint64_t kMostRead = 4'000'000'000; // numbers of mirror rows: some seconds
+
 constexpr double kNear =
     1e-9; // relative: where a distance in double no longer tells how many ulps are between
 
 // Sums over queries; merged over threads.
 struct Sums {
     std::uint64_t missing = 0, extra = 0, duplicates = 0, asymmetric = 0;
+    bool isSymmetryKnown = true;
     double maxUlp = 0, countSquares = 0, countMax = 0, densitySquares = 0, densityMax = 0;
 
     void merge(const Sums& other)
@@ -27,6 +31,7 @@ struct Sums {
         extra += other.extra;
         duplicates += other.duplicates;
         asymmetric += other.asymmetric;
+        isSymmetryKnown = isSymmetryKnown && other.isSymmetryKnown;
         maxUlp = std::max(maxUlp, other.maxUlp);
         countSquares += other.countSquares;
         countMax = std::max(countMax, other.countMax);
@@ -38,12 +43,15 @@ struct Sums {
 // Checks rows one after the other; one a thread.
 class Checker {
 public:
-    Checker(const FoundNeighbors& found, const ParticleView& view, double radius, const Truth& truth)
+    // `read` counts the numbers of mirror rows that all threads read.
+    Checker(const FoundNeighbors& found, const ParticleView& view, double radius, const Truth& truth,
+            std::atomic<std::uint64_t>& read)
         : mFound(found),
           mView(view),
           mRadius(radius),
           mTruth(truth),
           mJudge(view, radius),
+          mRead(read),
           mUlp(std::nextafter(radius, std::numeric_limits<double>::infinity()) - radius)
     {
     }
@@ -98,9 +106,14 @@ private:
     double judgePair(std::uint32_t query, std::uint32_t other, bool isMissing)
     {
         if (other >= mView.size()) return 0; // no particle at all
-        mFound.row(other, mMirror);
-        const bool isMirrored = std::find(mMirror.begin(), mMirror.end(), query) != mMirror.end();
-        mSums.asymmetric += isMirrored == isMissing;
+        if (mRead < kMostRead) {
+            mFound.row(other, mMirror);
+            mRead += mMirror.size();
+            const bool isMirrored = std::find(mMirror.begin(), mMirror.end(), query) != mMirror.end();
+            mSums.asymmetric += isMirrored == isMissing;
+        } else {
+            mSums.isSymmetryKnown = false;
+        }
         const double distance = mView.distance(query, other);
         if (!std::isfinite(distance)) return 0; // a non-finite particle has no distance
         double ulps = (distance - mRadius) / mUlp;
@@ -116,6 +129,7 @@ private:
     double mRadius;
     const Truth& mTruth;
     PairJudge mJudge;
+    std::atomic<std::uint64_t>& mRead;
     double mUlp; // of the radius
     Sums mSums;
     std::vector<std::uint32_t> mRow, mMissing, mExtra, mMirror;
@@ -127,10 +141,11 @@ AccuracyReport checkAccuracy(const FoundNeighbors& found, const ParticleView& vi
                              const Truth& truth)
 {
     const std::size_t queries = truth.queries.size();
+    std::atomic<std::uint64_t> read{0};
     const Sums sums = tbb::parallel_reduce(
         tbb::blocked_range<std::size_t>(0, queries, 256), Sums(),
         [&](const auto& range, Sums sums) {
-            Checker checker(found, view, radius, truth);
+            Checker checker(found, view, radius, truth, read);
             for (std::size_t k = range.begin(); k < range.end(); ++k) checker.check(k);
             sums.merge(checker.sums());
             return sums;
@@ -151,7 +166,7 @@ AccuracyReport checkAccuracy(const FoundNeighbors& found, const ParticleView& vi
     report.countRmse = std::sqrt(sums.countSquares / count);
     report.countMax = sums.countMax;
     if (!found.hasRows()) return report;
-    report.asymmetric = sums.asymmetric;
+    if (sums.isSymmetryKnown) report.asymmetric = sums.asymmetric;
     report.densityRmse = std::sqrt(sums.densitySquares / count);
     report.densityMax = sums.densityMax;
     return report;

@@ -16,8 +16,8 @@ struct AccuracyReport {
     std::uint64_t checkedQueries = 0, truePairs = 0;
     std::uint64_t missing = 0, extra = 0; ///< where there are counts alone, differences of counts
     std::uint64_t duplicates = 0;         ///< listed more than once, or the query itself
-    std::optional<std::uint64_t>
-        asymmetric;    ///< of wrong pairs, those listed one way only; empty without rows
+    /// Of wrong pairs, those listed one way only; empty without rows, and where finding out would read more than 4 * 10^9 numbers.
+    std::optional<std::uint64_t> asymmetric;
     double maxUlp = 0; ///< farthest wrong pair from the radius, in ulps of the radius (double)
     double countRmse = 0,
            countMax = 0; ///< neighbors; counts are scaled where candidates were left out on purpose

@@ -148,9 +148,9 @@ std::optional<std::vector<MethodSpec>> groupOf(const std::string& name, const Me
 {
     if (name == "ours") return engineGroup();
     if (name == "devices") return deviceGroup(suits.device);
-    if (name == "parts") return singleGroup(MethodKind::kPart, suits.points);
-    if (name == "approximate") return singleGroup(MethodKind::kApproximate, suits.points);
-    if (name == "peers") return singleGroup(MethodKind::kPeer, suits.points);
+    if (name == "parts") return singleGroup(MethodKind::kPart, 0);
+    if (name == "approximate") return singleGroup(MethodKind::kApproximate, 0);
+    if (name == "peers") return singleGroup(MethodKind::kPeer, 0);
     return std::nullopt;
 }
 
@@ -159,7 +159,9 @@ std::vector<MethodSpec> defaultMethods(const MethodSuits& suits)
     std::vector<MethodSpec> specs;
     for (const char* group : {"ours", "devices", "parts", "approximate", "peers"}) {
         if (group == std::string("devices") && suits.device.empty()) continue;
-        const std::vector<MethodSpec> more = *groupOf(group, suits);
+        const bool isPeers = group == std::string("peers"); // the slow ones where there are few points
+        const std::vector<MethodSpec> more =
+            isPeers ? singleGroup(MethodKind::kPeer, suits.points) : *groupOf(group, suits);
         specs.insert(specs.end(), more.begin(), more.end());
     }
     return specs;

@@ -10,6 +10,7 @@
 #include <atomic>
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
+#include <utility>
 
 namespace vdb_nns::cli {
 namespace {
@@ -106,8 +107,10 @@ Truth sampleTruth(const PointCloud& cloud, const PairJudge& judge, std::uint64_t
     return truth;
 }
 
-// Rows go straight to their place: one pass counts, one fills.
-Truth completeTruth(const PointCloud& cloud, const PairJudge& judge, const TruthOptions& options)
+// Rows go straight to their place: one pass counts, one fills. Nothing where they are more than a quarter of the memory, which
+// the pilot may have missed.
+std::optional<Truth> completeTruth(const PointCloud& cloud, const PairJudge& judge,
+                                   const TruthOptions& options)
 {
     Truth truth;
     truth.complete = true;
@@ -126,6 +129,7 @@ Truth completeTruth(const PointCloud& cloud, const PairJudge& judge, const Truth
     };
     forRows([&](std::uint32_t query, const auto& row) { truth.begin[query + 1] = row.size(); });
     for (std::size_t i = 0; i < size; ++i) truth.begin[i + 1] += truth.begin[i];
+    if (truth.begin[size] * sizeof(std::uint32_t) > machineMemoryBytes() / 4) return std::nullopt;
     truth.neighbors.resize(truth.begin[size]);
     forRows([&](std::uint32_t query, const auto& row) {
         std::copy(row.begin(), row.end(),
@@ -152,9 +156,10 @@ Truth findTruth(const ParticleView& view, double radius, const TruthOptions& opt
     if (options.sample && *options.sample == 0) return {};
     const PointCloud cloud = makeCloud(view, radius);
     const PairJudge judge(view, radius);
-    const bool isComplete = !options.sample && allAreFew(cloud, judge, options);
-    Truth truth = isComplete ? completeTruth(cloud, judge, options)
-                             : sampleTruth(cloud, judge, options.sample.value_or(kSample), options);
+    std::optional<Truth> complete;
+    if (!options.sample && allAreFew(cloud, judge, options)) complete = completeTruth(cloud, judge, options);
+    Truth truth = complete ? std::move(*complete)
+                           : sampleTruth(cloud, judge, options.sample.value_or(kSample), options);
     setDensities(view, radius, truth);
     return truth;
 }

@@ -62,20 +62,31 @@ Json orNull(const std::optional<T>& value)
 
 Json accuracyJson(const AccuracyReport& accuracy)
 {
+    const bool isChecked = accuracy.checkedQueries > 0;
     return {{"complete", accuracy.complete},
             {"checked_queries", accuracy.checkedQueries},
             {"true_pairs", accuracy.truePairs},
             {"missing", accuracy.missing},
             {"extra", accuracy.extra},
             {"duplicates", accuracy.duplicates},
-            {"missing_per_million", accuracy.missingPerMillion()},
-            {"extra_per_million", accuracy.extraPerMillion()},
+            {"missing_per_million", isChecked ? Json(accuracy.missingPerMillion()) : Json(nullptr)},
+            {"extra_per_million", isChecked ? Json(accuracy.extraPerMillion()) : Json(nullptr)},
             {"asymmetric", orNull(accuracy.asymmetric)},
             {"max_ulp", accuracy.maxUlp},
             {"count_rmse", accuracy.countRmse},
             {"count_max", accuracy.countMax},
             {"density_rmse", orNull(accuracy.densityRmse)},
             {"density_max", orNull(accuracy.densityMax)}};
+}
+
+// In the order of design: numbers are null where the method refused.
+Json refusedJson(Json json)
+{
+    for (const char* key : {"grid", "search", "total", "min", "max", "first"}) json["seconds"][key] = nullptr;
+    for (const char* key : {"peak_rss_bytes", "added_bytes", "structure_bytes", "list_bytes"})
+        json["memory"][key] = nullptr;
+    json["pairs"] = json["accuracy"] = nullptr;
+    return json;
 }
 
 Json resultJson(const BenchResult& result)
@@ -100,7 +111,8 @@ Json resultJson(const BenchResult& result)
     json["accuracy"] = accuracyJson(result.accuracy);
     json["checksum"] = result.checksum ? Json(checksumText(*result.checksum)) : Json(nullptr);
     json["device"] = deviceMeasuresJson(result.device);
-    return json;
+    json["message"] = result.message;
+    return result.message.empty() ? json : refusedJson(json);
 }
 
 // A name may hold a comma or a quote.
@@ -182,10 +194,19 @@ std::string accuracyText(const std::vector<BenchResult>& results)
     return text;
 }
 
+std::string refusalsText(const std::vector<BenchResult>& results)
+{
+    std::string text;
+    for (const BenchResult& result : results) {
+        if (!result.message.empty()) text += result.method + " refused: " + result.message + "\n";
+    }
+    return text;
+}
+
 std::string agreementText(const std::vector<BenchResult>& results)
 {
     std::uint64_t exact = 0;
-    for (const BenchResult& result : results) exact += result.isPromisedExact();
+    for (const BenchResult& result : results) exact += result.isPromisedExact() && result.message.empty();
     if (exact < 2) return "";
     return firstThatDiffers(results) ? "the exact methods do NOT find the same pairs\n"
                                      : "the " + countText(exact) + " exact methods find the same pairs\n";
@@ -248,10 +269,15 @@ std::string benchCsv(const std::vector<BenchResult>& results)
 std::string benchText(const BenchReport& report)
 {
     std::string text;
-    if (!report.results.empty()) {
-        text = headText(report.results) + timesText(report.results) + accuracyText(report.results) +
-               agreementText(report.results) + devicesText(report.results, report.link);
+    std::vector<BenchResult> results;
+    for (const BenchResult& result : report.results) {
+        if (result.message.empty()) results.push_back(result);
     }
+    if (!results.empty()) {
+        text = headText(results) + timesText(results) + accuracyText(results) + agreementText(results) +
+               devicesText(results, report.link);
+    }
+    if (!results.empty()) text += refusalsText(report.results); // else the first one is the error
     return text + estimatorsText(report.estimators) + budgetsText(report.budgets) +
            resolutionText(report.resolution) + scalingText(report.scaling) + modelText(report.model) +
            (report.stability.empty() ? "" : stabilityText(report.stability));

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <atomic>
 #include <memory>
+#include <new>
 #include <numeric>
 
 namespace vdb_nns::cli {
@@ -19,6 +20,8 @@ struct MethodTimes {
     MethodRun last;
     double first = 0;
     std::uint64_t peakBytes = 0, addedBytes = 0, turn = 0;
+    std::string message; // of a refusal; then nothing else is there
+    std::exception_ptr refusal;
 };
 
 int threadsOf(const MethodSpec& spec, const MethodStudyOptions& options)
@@ -42,8 +45,20 @@ void measureCold(const MethodSpec& spec, const BenchPoints& points, const Method
     returnFreedMemory();
     const std::uint64_t before = residentMemoryBytes();
     resetPeakMemory();
-    const std::unique_ptr<Method> method = makeMethod(spec, options.setup);
-    times.first = runOnce(*method, spec, points, options, span).totalSeconds();
+    try {
+        const std::unique_ptr<Method> method = makeMethod(spec, options.setup);
+        times.first = runOnce(*method, spec, points, options, span).totalSeconds();
+    } catch (const Cancelled&) {
+        throw;
+    } catch (const DeviceError&) {
+        throw;
+    } catch (const std::bad_alloc&) {
+        times.message = "asked for more memory than there is";
+        times.refusal = std::current_exception();
+    } catch (const std::exception& error) { // also what a peer throws
+        times.message = error.what();
+        times.refusal = std::current_exception();
+    }
     times.peakBytes = peakMemoryBytes();
     times.addedBytes = times.peakBytes - std::min(times.peakBytes, before);
 }
@@ -110,6 +125,9 @@ BenchResult summarize(const BenchPoints& points, const MethodSpec& spec, const M
     result.points = points.view.size();
     result.pairs = times.last.pairs;
     result.radius = options.radius;
+    result.message = times.message;
+    result.refusal = times.refusal;
+    if (!result.message.empty()) return result;
     result.runs = times.total.size();
     result.gridSeconds = median(times.grid);
     result.searchSeconds = median(times.search);
@@ -177,11 +195,14 @@ std::vector<BenchResult> studyMethods(const BenchPoints& points, const Truth& tr
         const double from = cold + share * static_cast<double>(turn);
         std::vector<std::unique_ptr<Method>> methods(count);
         for (std::size_t m = 0; m < count; ++m) {
-            if (times[m].turn == turn) methods[m] = makeMethod(options.methods[m], options.setup);
+            if (times[m].turn == turn && times[m].message.empty())
+                methods[m] = makeMethod(options.methods[m], options.setup);
         }
         measureTurn(methods, points, options, {span.printer, from, from + 0.8 * share}, times);
         span.printer.begin("check", from + 0.8 * share, from + share);
         for (std::size_t m = 0; m < count; ++m) {
+            if (times[m].turn == turn && !times[m].message.empty())
+                results.push_back(summarize(points, options.methods[m], options, times[m]));
             if (!methods[m]) continue;
             results.push_back(
                 judge(points, truth, options.methods[m], options, times[m], methods[m]->found()));
@@ -196,7 +217,7 @@ const BenchResult* firstThatDiffers(const std::vector<BenchResult>& results)
     const BenchResult* first = nullptr;
     std::optional<std::uint64_t> checksum;
     for (const BenchResult& result : results) {
-        if (!result.isPromisedExact()) continue;
+        if (!result.isPromisedExact() || !result.message.empty()) continue;
         if (!first) first = &result;
         if (result.pairs != first->pairs) return &result;
         if (!result.checksum) continue;

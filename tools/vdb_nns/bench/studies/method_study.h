@@ -7,6 +7,7 @@
 #include "bench/truth.h"
 
 #include <cstdint>
+#include <exception>
 #include <optional>
 #include <string>
 #include <vector>
@@ -30,6 +31,8 @@ struct BenchResult {
     std::optional<std::uint64_t> checksum; ///< of all pairs of an exact method; empty without rows
     AccuracyReport accuracy;
     std::optional<DeviceMeasures> device; ///< empty for a method of the CPU
+    std::string message;                  ///< of a refusal; then there are no figures
+    std::exception_ptr refusal;           ///< what it threw
 
     bool isPromisedExact() const { return kind == MethodKind::kEngine || kind == MethodKind::kDevice; }
     bool isExact() const { return accuracy.wrong() == 0 && accuracy.asymmetric.value_or(0) == 0; }
@@ -44,8 +47,8 @@ struct MethodStudyOptions {
 };
 
 /// One cold run of each by itself; then, in turns, all interleaved, so that a change of the machine's speed meets all of them.
-/// Each is compared with the truth after its last run.
-/// @throws InvalidInput for a method of more threads than the study has; Cancelled, and what the methods throw
+/// Each is compared with the truth after its last run. One that refuses is reported with what it says, and the others go on.
+/// @throws InvalidInput for a method of more threads than the study has; Cancelled, DeviceError
 std::vector<BenchResult> studyMethods(const BenchPoints& points, const Truth& truth,
                                       const MethodStudyOptions& options, const ProgressSpan& span);
 

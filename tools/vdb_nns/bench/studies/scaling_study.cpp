@@ -22,11 +22,12 @@ BenchPoints withPositions(const BenchPoints& points, std::vector<float> position
 
 std::vector<float> positionsOf(const BenchPoints& points)
 {
-    if (points.positions) return *points.positions;
     std::vector<float> positions;
     positions.reserve(points.view.size() * 3);
     for (std::size_t i = 0; i < points.view.size(); ++i) {
-        for (const double x : points.view.worldPosition(i)) positions.push_back(static_cast<float>(x));
+        const Vec3d at = points.view.worldPosition(i);
+        if (!std::isfinite(at[0]) || !std::isfinite(at[1]) || !std::isfinite(at[2])) continue;
+        for (const double x : at) positions.push_back(static_cast<float>(x));
     }
     return positions;
 }

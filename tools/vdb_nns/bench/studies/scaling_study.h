@@ -15,7 +15,7 @@ struct ScalingResult {
     BenchResult result;
 };
 
-/// Of the same particles: an eighth to all of them, each a part of space with as many neighbors; one thread to all; half the
+/// Of the finite particles, their world positions rounded to float32: an eighth to all of them, each a part of space with as many neighbors; one thread to all; half the
 /// radius to 1.5 times; none to 90 % of them moved into clusters of 256 about others. The truth is found anew each time, by the
 /// rules of TruthOptions with `sample`.
 /// @throws as studyMethods() and findTruth()
