@@ -33,8 +33,8 @@ constexpr double kDense = 4;    // particles a cell if all cells were full: no l
 constexpr double kFilled = 6;   // particles an occupied cell: from here on cells of the radius are best
 // Particles in the wide cell of the mean particle: above, the tests begin to cost.
 constexpr double kCrowdedWide = 48;
-constexpr double kCompact =
-    5; // but on surfaces and in clusters, where wide cells hold far less than eight times as many
+// But on surfaces and in clusters wide cells hold far less than eight times as many.
+constexpr double kCompact = 5;
 constexpr double kLone = 2.5; // particles a wide cell: below, hardly anybody has a neighbor
 
 std::uint64_t hashOf(std::int64_t x, std::int64_t y, std::int64_t z)

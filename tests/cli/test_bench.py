@@ -290,3 +290,25 @@ class Bench(CliCase):
                 self.assertIn(cell["verdict"], ("exact", "refused", "skipped"), (case, cell["message"]))
         self.assertEqual(cells["far-1e7", "world-float"]["verdict"], "wrong")
         self.assertEqual(cells["tie-0.1", "world-float"]["verdict"], "wrong")
+
+    def test_too_large_for_full_truth_and_for_a_method(self):
+        args = ("bench", "--scene", "coincident", "-n", "90000", "--method", "ours-count,ours-index", "--repeat", "1",
+                "--host-memory", "2GB")
+        count, index = self.report(*args)["results"]
+        self.assertEqual(count["pairs"], 90000 * 89999)
+        self.assertEqual((count["accuracy"]["complete"], count["accuracy"]["checked_queries"]), (False, 1000))
+        self.assertEqual((count["accuracy"]["missing"], count["accuracy"]["extra"], count["message"]), (0, 0, ""))
+        self.assertIn("allowed", index["message"])
+        self.assertIsNone(index["seconds"]["total"])
+        out = self.succeeds(*args).out
+        self.assertRegex(out, r"(?m)^against the truth of a sample: 1000 queries")
+        self.assertRegex(out, r"(?m)^ours-index refused: index lists need")
+
+    def test_unchecked_is_not_exact(self):
+        accuracy = self.report("bench", "--scene", "block", "-n", "500", "--method", "nearest8", "--repeat", "1", "--sample",
+                               "0")["results"][0]["accuracy"]
+        self.assertEqual((accuracy["checked_queries"], accuracy["missing_per_million"]), (0, None))
+
+    def test_methods_without_their_study(self):
+        self.fails(2, "bench", "--scene", "block", "-n", "500", "--study", "resolution", "--method", "nearest8",
+                   says="--study methods")
