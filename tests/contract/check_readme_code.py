@@ -25,7 +25,7 @@ with tempfile.TemporaryDirectory() as folder:
         if needs_gpu and not emulated:
             print("not run:", command)
             continue
-        command = command.replace("--stability", "--stability --method ours-count") # all methods take minutes
+        command = command.replace("--stability", "--stability --method ours-count")  # all methods take minutes
         command = command.replace("build/vdb_nns", f"'{emulated[0] if needs_gpu else program}'", 1).replace("1000000", "20000")
         subprocess.run(command, shell=True, check=True, stdout=subprocess.DEVNULL)
     names = {}

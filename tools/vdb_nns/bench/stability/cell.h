@@ -26,7 +26,7 @@ enum class Verdict {
 const char* verdictName(Verdict verdict);
 
 struct CellLimits {
-    double seconds = 30; ///< of each run
+    double seconds = 120; ///< of each run, by the clock: room for a busy machine
     std::uint64_t bytes = std::uint64_t(4)
                           << 30; ///< of address space, beyond what the process has and its threads' stacks
     int threads = 0;             ///< 0: all

@@ -14,7 +14,7 @@ namespace vdb_nns::cli {
 struct StabilityOptions {
     std::vector<MethodSpec> methods; ///< e.g. stabilityMethods()
     std::vector<std::string> cases;  ///< names or groups; empty: all
-    double secondsPerCell = 30;
+    double secondsPerCell = 120;
     std::uint64_t bytesPerCell = std::uint64_t(4) << 30;
     int threads = 0;                     ///< 0: all
     ProgressPrinter* progress = nullptr; ///< may be null
