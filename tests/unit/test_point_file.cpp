@@ -194,6 +194,7 @@ bool usesVoxels(const PointDataGrid::Ptr& grid, double radius)
     const testing::Lists oracle = testing::oracleLists(set);
     SearchEngine engine;
     SearchOptions options;
+    options.wideCells = false; // so that any other cells are of the radius
     const SparseGrid cells = engine.buildGrid(view, radius, options);
     for (const Encoding encoding : {Encoding::kIndex, Encoding::kMask}) {
         options.encoding = encoding;
