@@ -130,12 +130,14 @@ class GpuBench(ScriptCase):
         command = [PROGRAM, "bench", "--scene", "block", "-n", "14k", "--device", "cuda", "--device-memory", "1MB",
                    "--repeat", "1", "--sample", "0", "--method"]
         environment = {**os.environ, "VDB_NNS_EMULATED_DEVICES": "66"}
-        for methods, code in (("in-core-mask,blocks-mask", 0),
-                              ("in-core-mask,blocks-mask,both-halo-mask,both-auto-mask", 4)):
+        few, many = "in-core-mask,blocks-mask", "in-core-mask,blocks-mask,both-halo-mask,both-auto-mask"
+        for methods, code in ((few, 0), (many, 4)):
             done = subprocess.run(command + [methods], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment,
                                   universal_newlines=True, timeout=300)
             self.assertEqual(done.returncode, code, done.stderr)
-        for said in ("both-halo-mask", "1000000 bytes", "other methods of this bench", "smaller --device-memory"):
+        # Which of them is the one too many follows from the order of the run.
+        self.assertRegex(done.stderr, r"error: scene block: (%s): " % many.replace(",", "|"))
+        for said in ("1000000 bytes", "other methods of this bench", "smaller --device-memory"):
             self.assertIn(said, done.stderr)
 
     def test_failures_are_told(self):

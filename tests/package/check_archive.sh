@@ -35,10 +35,10 @@ tar -xzf "$archive" -C "$root/place one"
 package="$root/place one/$name"
 
 find "$package" -type l -o -type f | sed "s|^$package/||" | sort >"$work/files"
-for file in bin/vdb_nns bin/gpu_bench.sh LICENSE README.md INSTALL.txt; do
+for file in bin/vdb_nns bin/gpu_bench.sh share/vdb_nns/chart.py LICENSE README.md INSTALL.txt; do
     grep -qx "$file" "$work/files" || fail "no $file in the package"
 done
-! grep -vE '^(bin/vdb_nns|bin/gpu_bench\.sh|LICENSE|README\.md|INSTALL\.txt|lib/vdb_nns/lib[^/]*\.so[^/]*|share/doc/vdb_nns/.*)$' "$work/files" ||
+! grep -vE '^(bin/vdb_nns|bin/gpu_bench\.sh|LICENSE|README\.md|INSTALL\.txt|lib/vdb_nns/lib[^/]*\.so[^/]*|share/doc/vdb_nns/.*|share/vdb_nns/(chart|charts/[a-z_]+)\.py)$' "$work/files" ||
     fail "files that nobody expected in the package"
 ! grep -E '/(ld-linux|lib(c|m|mvec|pthread|dl|rt|resolv)\.so)' "$work/files" || fail "parts of the C library in the package"
 
@@ -69,6 +69,14 @@ ldd "$package/bin/vdb_nns" | sed "s|$package/bin/\.\.|$package|" >"$work/ldd"
 check_resolved "$package" <"$work/ldd"
 LD_LIBRARY_PATH=$system ldd "$package/bin/vdb_nns" | sed "s|$package/bin/\.\.|$package|" | check_resolved "$package"
 echo "bundled: $(cd "$package/lib/vdb_nns" && ls | tr '\n' ' ')"
+
+# Charts are drawn by the scripts of the package.
+if /usr/bin/python3 -c 'import matplotlib' 2>/dev/null; then
+    "$package/bin/vdb_nns" bench --scene block -n 2000 --method ours-index --study methods --repeat 1 --quiet \
+        --chart "$work/charts.html" || fail "bench --chart of the package"
+    grep -q '</html>' "$work/charts.html" || fail "charts.html is no whole page"
+    [ -z "$(find "$package" -name __pycache__)" ] || fail "drawing charts wrote into the package"
+fi
 
 if [ "$(id -u)" -eq 0 ]; then
     enter=(chroot "$root")
