@@ -36,34 +36,38 @@ inline QueryBounds boundsOf(const FilterBounds& bounds, const HaloScratch& halo,
     // Whole vectors, the last of them overlapping, or one vector filled up with the first query.
     const auto forEachVector = [first, count](const char* array, auto&& f) {
         const float* const in = floats(array) + first;
-        if (count < Simd::kLanes) return f(firstLanesOr(Simd::load(in), count, Simd::set(*in)));
-        for (std::uint32_t i = 0; i + Simd::kLanes < count; i += Simd::kLanes) f(Simd::load(in + i));
-        f(Simd::load(in + count - Simd::kLanes));
+        if (count < NarrowSimd::kLanes)
+            return f(firstLanesOr(NarrowSimd::load(in), count, NarrowSimd::set(*in)));
+        for (std::uint32_t i = 0; i + NarrowSimd::kLanes < count; i += NarrowSimd::kLanes)
+            f(NarrowSimd::load(in + i));
+        f(NarrowSimd::load(in + count - NarrowSimd::kLanes));
     };
-    Simd::F center[3], half[3];
+    NarrowSimd::F center[3], half[3];
     for (int k = 0; k < 3; ++k) {
         const char* const array = halo.halo() + k * halo.stride;
-        Simd::F low = Simd::set(floats(array)[first]), high = low;
-        forEachVector(array, [&](Simd::F v) {
-            low = Simd::min(low, v);
-            high = Simd::max(high, v);
+        NarrowSimd::F low = NarrowSimd::set(floats(array)[first]), high = low;
+        forEachVector(array, [&](NarrowSimd::F v) {
+            low = NarrowSimd::min(low, v);
+            high = NarrowSimd::max(high, v);
         });
         // The half size must cover each |fl(q - centre)|; rounding is monotonic, so the ends' own roundings do.
         const float l = minOfLanes(low), h = maxOfLanes(high), c = 0.5f * (l + h), a = h - c, b = c - l;
-        center[k] = Simd::set(c);
-        half[k] = Simd::set(a > b ? a : b);
+        center[k] = NarrowSimd::set(c);
+        half[k] = NarrowSimd::set(a > b ? a : b);
     }
-    Simd::F most = Simd::set(0.0f);
+    NarrowSimd::F most = NarrowSimd::set(0.0f);
     const std::size_t stride = halo.stride;
     const float* const x = floats(halo.halo()) + first;
-    for (std::uint32_t i = 0;; i += Simd::kLanes) {
-        if (i + Simd::kLanes >= count) i = count > Simd::kLanes ? count - Simd::kLanes : 0;
+    for (std::uint32_t i = 0;; i += NarrowSimd::kLanes) {
+        if (i + NarrowSimd::kLanes >= count) i = count > NarrowSimd::kLanes ? count - NarrowSimd::kLanes : 0;
         const char* const p = reinterpret_cast<const char*>(x + i);
-        const Simd::F length = squaredLength(Simd::sub(Simd::load(floats(p)), center[0]),
-                                             Simd::sub(Simd::load(floats(p + stride)), center[1]),
-                                             Simd::sub(Simd::load(floats(p + 2 * stride)), center[2]));
-        most = Simd::max(most, count < Simd::kLanes ? firstLanesOr(length, count, Simd::set(0.0f)) : length);
-        if (i + Simd::kLanes >= count) break;
+        const NarrowSimd::F length =
+            squaredLength(NarrowSimd::sub(NarrowSimd::load(floats(p)), center[0]),
+                          NarrowSimd::sub(NarrowSimd::load(floats(p + stride)), center[1]),
+                          NarrowSimd::sub(NarrowSimd::load(floats(p + 2 * stride)), center[2]));
+        most = NarrowSimd::max(
+            most, count < NarrowSimd::kLanes ? firstLanesOr(length, count, NarrowSimd::set(0.0f)) : length);
+        if (i + NarrowSimd::kLanes >= count) break;
     }
     return {center[0],
             center[1],
@@ -71,8 +75,8 @@ inline QueryBounds boundsOf(const FilterBounds& bounds, const HaloScratch& halo,
             half[0],
             half[1],
             half[2],
-            Simd::set(keepSquared(bounds, maxOfLanes(most))),
-            Simd::set(keepSquared(bounds, 0))};
+            NarrowSimd::set(keepSquared(bounds, maxOfLanes(most))),
+            NarrowSimd::set(keepSquared(bounds, 0))};
 }
 
 // Bits one after the other into 64-bit words. Fewer than 64 at a time.
@@ -95,23 +99,26 @@ struct BitWriter {
     void finish() { *out = word; }
 };
 
+constexpr NarrowSimd::Mask kAllNarrowLanes = (1u << NarrowSimd::kLanes) - 1;
+
 // One vector of candidates at `p`, of which `valid` count: keeps those near the ball, behind `kept`.
 template <bool kBits, bool kBox>
-inline char* gatherVector(const QueryBounds& where, const char* p, std::size_t stride, Simd::Mask valid,
+inline char* gatherVector(const QueryBounds& where, const char* p, std::size_t stride, NarrowSimd::Mask valid,
                           unsigned count, char* kept, BitWriter& bits)
 {
-    const Simd::F px = Simd::sub(Simd::load(floats(p)), where.centerX);
-    const Simd::F py = Simd::sub(Simd::load(floats(p + stride)), where.centerY);
-    const Simd::F pz = Simd::sub(Simd::load(floats(p + 2 * stride)), where.centerZ);
-    const Simd::F length = squaredLength(px, py, pz);
-    const Simd::Mask mask = where.near<kBox>(px, py, pz, length) & valid;
+    const NarrowSimd::F px = NarrowSimd::sub(NarrowSimd::load(floats(p)), where.centerX);
+    const NarrowSimd::F py = NarrowSimd::sub(NarrowSimd::load(floats(p + stride)), where.centerY);
+    const NarrowSimd::F pz = NarrowSimd::sub(NarrowSimd::load(floats(p + 2 * stride)), where.centerZ);
+    const NarrowSimd::F length = squaredLength(px, py, pz);
+    const NarrowSimd::Mask mask = where.near<kBox>(px, py, pz, length) & valid;
     if constexpr (kBits) bits.append(mask, count);
-    const Simd::Order order = Simd::order(mask);
-    Simd::store(floats(kept), Simd::compress(px, order));
-    Simd::store(floats(kept + stride), Simd::compress(py, order));
-    Simd::store(floats(kept + 2 * stride), Simd::compress(pz, order));
-    Simd::store(floats(kept + 4 * stride), Simd::compress(length, order));
-    Simd::store(integers(kept + 8 * stride), Simd::compress(Simd::load(integers(p + 4 * stride)), order));
+    const NarrowSimd::Order order = NarrowSimd::order(mask);
+    NarrowSimd::store(floats(kept), NarrowSimd::compress(px, order));
+    NarrowSimd::store(floats(kept + stride), NarrowSimd::compress(py, order));
+    NarrowSimd::store(floats(kept + 2 * stride), NarrowSimd::compress(pz, order));
+    NarrowSimd::store(floats(kept + 4 * stride), NarrowSimd::compress(length, order));
+    NarrowSimd::store(integers(kept + 8 * stride),
+                      NarrowSimd::compress(NarrowSimd::load(integers(p + 4 * stride)), order));
     return kept + static_cast<std::size_t>(__builtin_popcount(mask)) * sizeof(float);
 }
 
@@ -122,8 +129,8 @@ inline char* gatherRun(const QueryBounds& where, const char* halo, std::size_t s
 {
     const char* p = halo + std::size_t(begin) * sizeof(float);
     std::uint32_t left = end - begin;
-    for (; left >= Simd::kLanes; left -= Simd::kLanes, p += Simd::kLanes * sizeof(float)) {
-        kept = gatherVector<kBits, kBox>(where, p, stride, kAllLanes, Simd::kLanes, kept, bits);
+    for (; left >= NarrowSimd::kLanes; left -= NarrowSimd::kLanes, p += NarrowSimd::kLanes * sizeof(float)) {
+        kept = gatherVector<kBits, kBox>(where, p, stride, kAllNarrowLanes, NarrowSimd::kLanes, kept, bits);
     }
     if (left > 0) kept = gatherVector<kBits, kBox>(where, p, stride, (1u << left) - 1, left, kept, bits);
     return kept;
@@ -155,7 +162,7 @@ void gatherRuns(const QueryBounds& where, HaloScratch& scratch, int reach, const
         }
     }
     if constexpr (kBits) bits.finish();
-    Simd::store(floats(kept + 4 * stride), Simd::set(kFarAway));
+    Simd::store(floats(kept + 4 * stride), Simd::set(kFarAway)); // tests read whole vectors of these
     cell.candidates = candidates;
     cell.kept = static_cast<std::uint32_t>((kept - scratch.kept()) / sizeof(float));
 }

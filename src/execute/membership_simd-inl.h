@@ -87,29 +87,30 @@ struct HaloFrame {
     std::uint32_t count;
 };
 
-inline Simd::F squaredLength(Simd::F x, Simd::F y, Simd::F z)
+inline NarrowSimd::F squaredLength(NarrowSimd::F x, NarrowSimd::F y, NarrowSimd::F z)
 {
-    return Simd::mulAdd(z, z, Simd::mulAdd(y, y, Simd::mul(x, x)));
+    return NarrowSimd::mulAdd(z, z, NarrowSimd::mulAdd(y, y, NarrowSimd::mul(x, x)));
 }
 
 // Where a cell's queries are, in the frame of the leaf: a box, its centre, and how far from the centre and from the box
 // neighbors of theirs can be.
 struct QueryBounds {
-    Simd::F centerX, centerY, centerZ, halfX, halfY, halfZ;
-    Simd::F ballKeep, boxKeep; // squared
+    NarrowSimd::F centerX, centerY, centerZ, halfX, halfY, halfZ;
+    NarrowSimd::F ballKeep, boxKeep; // squared
 
     // Candidates about the centre that may be neighbors of a query, by the ball around the queries, and if kBox by their
     // box too, which costs as much again and keeps fewer.
     template <bool kBox>
-    Simd::Mask near(Simd::F px, Simd::F py, Simd::F pz, Simd::F length) const
+    NarrowSimd::Mask near(NarrowSimd::F px, NarrowSimd::F py, NarrowSimd::F pz, NarrowSimd::F length) const
     {
-        const Simd::Mask inBall = Simd::lessEqual(length, ballKeep);
+        const NarrowSimd::Mask inBall = NarrowSimd::lessEqual(length, ballKeep);
         if constexpr (!kBox) return inBall;
-        const Simd::F zero = Simd::set(0.0f);
-        return inBall & Simd::lessEqual(squaredLength(Simd::max(Simd::sub(Simd::abs(px), halfX), zero),
-                                                      Simd::max(Simd::sub(Simd::abs(py), halfY), zero),
-                                                      Simd::max(Simd::sub(Simd::abs(pz), halfZ), zero)),
-                                        boxKeep);
+        const NarrowSimd::F zero = NarrowSimd::set(0.0f);
+        return inBall & NarrowSimd::lessEqual(
+                            squaredLength(NarrowSimd::max(NarrowSimd::sub(NarrowSimd::abs(px), halfX), zero),
+                                          NarrowSimd::max(NarrowSimd::sub(NarrowSimd::abs(py), halfY), zero),
+                                          NarrowSimd::max(NarrowSimd::sub(NarrowSimd::abs(pz), halfZ), zero)),
+                            boxKeep);
     }
 };
 

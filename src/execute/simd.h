@@ -15,6 +15,59 @@
 namespace vdb_nns {
 namespace {
 
+#if defined(VDB_NNS_SIMD_AVX2) || defined(VDB_NNS_SIMD_AVX512)
+
+// Lane numbers of the set bits of each 8-bit mask, in order.
+struct CompressTable {
+    alignas(32) std::uint32_t lanes[256][8];
+    constexpr CompressTable() : lanes()
+    {
+        for (int m = 0; m < 256; ++m) {
+            int k = 0;
+            for (std::uint32_t b = 0; b < 8; ++b) {
+                if (m >> b & 1) lanes[m][k++] = b;
+            }
+        }
+    }
+};
+alignas(32) constexpr CompressTable kCompress;
+
+struct Simd256 {
+    using F = __m256;
+    using I = __m256i;
+    using Mask = std::uint32_t;
+    static constexpr int kLanes = 8;
+    static F load(const float* p) { return _mm256_loadu_ps(p); }
+    static I load(const std::uint32_t* p) { return _mm256_loadu_si256(reinterpret_cast<const __m256i*>(p)); }
+    static void store(float* p, F v) { _mm256_storeu_ps(p, v); }
+    static void store(std::uint32_t* p, I v) { _mm256_storeu_si256(reinterpret_cast<__m256i*>(p), v); }
+    static void stream(std::uint32_t* p, I v) { _mm256_stream_si256(reinterpret_cast<__m256i*>(p), v); }
+    static void streamFence() { _mm_sfence(); }
+    static F set(float v) { return _mm256_set1_ps(v); }
+    static I set(std::int32_t v) { return _mm256_set1_epi32(v); }
+    static F add(F a, F b) { return _mm256_add_ps(a, b); }
+    static F sub(F a, F b) { return _mm256_sub_ps(a, b); }
+    static F mul(F a, F b) { return _mm256_mul_ps(a, b); }
+    static F mulAdd(F a, F b, F c) { return _mm256_fmadd_ps(a, b, c); }
+    static F min(F a, F b) { return _mm256_min_ps(a, b); }
+    static F max(F a, F b) { return _mm256_max_ps(a, b); }
+    static F abs(F a) { return _mm256_andnot_ps(_mm256_set1_ps(-0.0f), a); }
+    static I bits(F a) { return _mm256_castps_si256(a); }
+    static I min(I a, I b) { return _mm256_min_epi32(a, b); }
+    static Mask movesign(F a) { return static_cast<Mask>(_mm256_movemask_ps(a)); }
+    static Mask lessEqual(F a, F b) { return movesign(_mm256_cmp_ps(a, b, _CMP_LE_OQ)); }
+    static Mask lessEqual(I a, I b) { return ~movesign(_mm256_castsi256_ps(_mm256_cmpgt_epi32(a, b))) & 255; }
+    using Order = __m256i;
+    static Order order(Mask m)
+    {
+        return _mm256_load_si256(reinterpret_cast<const __m256i*>(kCompress.lanes[m]));
+    }
+    static F compress(F v, Order o) { return _mm256_permutevar8x32_ps(v, o); }
+    static I compress(I v, Order o) { return _mm256_permutevar8x32_epi32(v, o); }
+};
+
+#endif
+
 #if defined(VDB_NNS_SIMD_AVX512)
 
 struct Simd {
@@ -50,54 +103,7 @@ struct Simd {
 
 #elif defined(VDB_NNS_SIMD_AVX2)
 
-// Lane numbers of the set bits of each 8-bit mask, in order.
-struct CompressTable {
-    alignas(32) std::uint32_t lanes[256][8];
-    constexpr CompressTable() : lanes()
-    {
-        for (int m = 0; m < 256; ++m) {
-            int k = 0;
-            for (std::uint32_t b = 0; b < 8; ++b) {
-                if (m >> b & 1) lanes[m][k++] = b;
-            }
-        }
-    }
-};
-alignas(32) constexpr CompressTable kCompress;
-
-struct Simd {
-    using F = __m256;
-    using I = __m256i;
-    using Mask = std::uint32_t;
-    static constexpr int kLanes = 8;
-    static F load(const float* p) { return _mm256_loadu_ps(p); }
-    static I load(const std::uint32_t* p) { return _mm256_loadu_si256(reinterpret_cast<const __m256i*>(p)); }
-    static void store(float* p, F v) { _mm256_storeu_ps(p, v); }
-    static void store(std::uint32_t* p, I v) { _mm256_storeu_si256(reinterpret_cast<__m256i*>(p), v); }
-    static void stream(std::uint32_t* p, I v) { _mm256_stream_si256(reinterpret_cast<__m256i*>(p), v); }
-    static void streamFence() { _mm_sfence(); }
-    static F set(float v) { return _mm256_set1_ps(v); }
-    static I set(std::int32_t v) { return _mm256_set1_epi32(v); }
-    static F add(F a, F b) { return _mm256_add_ps(a, b); }
-    static F sub(F a, F b) { return _mm256_sub_ps(a, b); }
-    static F mul(F a, F b) { return _mm256_mul_ps(a, b); }
-    static F mulAdd(F a, F b, F c) { return _mm256_fmadd_ps(a, b, c); }
-    static F min(F a, F b) { return _mm256_min_ps(a, b); }
-    static F max(F a, F b) { return _mm256_max_ps(a, b); }
-    static F abs(F a) { return _mm256_andnot_ps(_mm256_set1_ps(-0.0f), a); }
-    static I bits(F a) { return _mm256_castps_si256(a); }
-    static I min(I a, I b) { return _mm256_min_epi32(a, b); }
-    static Mask movesign(F a) { return static_cast<Mask>(_mm256_movemask_ps(a)); }
-    static Mask lessEqual(F a, F b) { return movesign(_mm256_cmp_ps(a, b, _CMP_LE_OQ)); }
-    static Mask lessEqual(I a, I b) { return ~movesign(_mm256_castsi256_ps(_mm256_cmpgt_epi32(a, b))) & 255; }
-    using Order = __m256i;
-    static Order order(Mask m)
-    {
-        return _mm256_load_si256(reinterpret_cast<const __m256i*>(kCompress.lanes[m]));
-    }
-    static F compress(F v, Order o) { return _mm256_permutevar8x32_ps(v, o); }
-    static I compress(I v, Order o) { return _mm256_permutevar8x32_epi32(v, o); }
-};
+using Simd = Simd256;
 
 #elif defined(VDB_NNS_SIMD_SSE4)
 
@@ -195,6 +201,14 @@ struct Simd {
 
 #endif
 
+// For runs of particles that begin anywhere and are short: 64 bytes at an odd place always touch two lines, and leave more
+// lanes empty. Against 64-byte vectors throughout, counts of `block` take 0.72 of the time on a Zen 4.
+#if defined(VDB_NNS_SIMD_AVX512)
+using NarrowSimd = Simd256;
+#else
+using NarrowSimd = Simd;
+#endif
+
 constexpr Simd::Mask kAllLanes = (1u << Simd::kLanes) - 1;
 
 inline const float* floats(const char* p)
@@ -215,27 +229,27 @@ inline std::uint32_t* integers(char* p)
 }
 
 // The lowest `n` lanes of v, the others of w. 0 < n < kLanes.
-inline Simd::F firstLanesOr(Simd::F v, std::uint32_t n, Simd::F w)
+inline NarrowSimd::F firstLanesOr(NarrowSimd::F v, std::uint32_t n, NarrowSimd::F w)
 {
-    float lane[2 * Simd::kLanes];
-    Simd::store(lane, v);
-    Simd::store(lane + n, w);
-    return Simd::load(lane);
+    float lane[2 * NarrowSimd::kLanes];
+    NarrowSimd::store(lane, v);
+    NarrowSimd::store(lane + n, w);
+    return NarrowSimd::load(lane);
 }
 
-inline float minOfLanes(Simd::F v)
+inline float minOfLanes(NarrowSimd::F v)
 {
-    float lane[2 * Simd::kLanes];
-    Simd::store(lane, v);
-    for (int half = Simd::kLanes / 2; half > 0; half /= 2) {
+    float lane[2 * NarrowSimd::kLanes];
+    NarrowSimd::store(lane, v);
+    for (int half = NarrowSimd::kLanes / 2; half > 0; half /= 2) {
         for (int i = 0; i < half; ++i) lane[i] = lane[i + half] < lane[i] ? lane[i + half] : lane[i];
     }
     return lane[0];
 }
 
-inline float maxOfLanes(Simd::F v)
+inline float maxOfLanes(NarrowSimd::F v)
 {
-    return -minOfLanes(Simd::sub(Simd::set(0.0f), v));
+    return -minOfLanes(NarrowSimd::sub(NarrowSimd::set(0.0f), v));
 }
 
 } // namespace

@@ -1,5 +1,6 @@
 #include "bench/studies/method_study.h"
 
+#include "bench/run_order.h"
 #include "machine.h"
 #include "numbers.h"
 #include "threads.h"
@@ -9,7 +10,6 @@
 #include <atomic>
 #include <memory>
 #include <new>
-#include <numeric>
 
 namespace vdb_nns::cli {
 namespace {
@@ -86,16 +86,6 @@ void addRun(const MethodRun& run, MethodTimes& times)
     if (run.device) times.device.push_back(*run.device);
 }
 
-// Another order in each run: what one method leaves behind in caches and memory is not always met by the same one.
-std::vector<std::size_t> orderOf(std::size_t count, std::uint64_t run)
-{
-    std::vector<std::size_t> order(count);
-    std::iota(order.begin(), order.end(), std::size_t(0));
-    std::sort(order.begin(), order.end(),
-              [run](std::size_t a, std::size_t b) { return mix64(mix64(run) + a) < mix64(mix64(run) + b); });
-    return order;
-}
-
 // Run 0 warms up and is not counted; the result of the last one stays, to be checked.
 void measureTurn(const std::vector<std::unique_ptr<Method>>& methods, const BenchPoints& points,
                  const MethodStudyOptions& options, const ProgressSpan& span, std::vector<MethodTimes>& times)
@@ -103,7 +93,7 @@ void measureTurn(const std::vector<std::unique_ptr<Method>>& methods, const Benc
     const double step = (span.end - span.begin) / static_cast<double>((options.repeat + 1) * methods.size());
     double from = span.begin;
     for (std::uint64_t run = 0; run <= options.repeat; ++run) {
-        for (const std::size_t m : orderOf(methods.size(), run)) {
+        for (const std::size_t m : orderOfRun(methods.size(), run)) {
             from += step;
             if (!methods[m]) continue; // of another turn
             times[m].last =

@@ -1,5 +1,6 @@
 #include "bench/studies/resolution_study.h"
 
+#include "bench/run_order.h"
 #include "machine.h"
 #include "numbers.h"
 #include "vdb_nns/search.h"
@@ -7,24 +8,23 @@
 namespace vdb_nns::cli {
 namespace {
 
-constexpr double kSizes[] = {1.0 / 3, 0.5, 1, 1.5, 2, 4, 0}; // 0: auto
+constexpr double kSizes[] = {1.0 / 3, 0.5, 1, 1.5, 2, 3, 4, 0}; // 0: auto
 
 struct Times {
-    SearchEngine engine;
     std::vector<double> grid, search, total;
 };
 
-void runOnce(const BenchPoints& points, const ResolutionStudyOptions& options, bool isWarm, Times& times,
-             ResolutionResult& result)
+void runOnce(const BenchPoints& points, const ResolutionStudyOptions& options, bool isWarm,
+             SearchEngine& engine, Times& times, ResolutionResult& result)
 {
     SearchOptions search = options.search;
     search.encoding = result.encoding;
     search.cellSize = result.isAuto ? 0 : result.cellSize;
     const Stopwatch gridWatch;
-    const SparseGrid grid = times.engine.buildGrid(points.view, options.radius, search);
+    const SparseGrid grid = engine.buildGrid(points.view, options.radius, search);
     const double gridSeconds = gridWatch.seconds();
     const Stopwatch searchWatch;
-    const NeighborLists lists = times.engine.search(grid, search);
+    const NeighborLists lists = engine.search(grid, search);
     const double searchSeconds = searchWatch.seconds();
     if (isWarm) {
         times.grid.push_back(gridSeconds);
@@ -48,6 +48,7 @@ std::vector<ResolutionResult> studyResolution(const BenchPoints& points,
                                               const ResolutionStudyOptions& options, const ProgressSpan& span)
 {
     std::vector<ResolutionResult> results;
+    SearchEngine engine; // one for all, so that all work in the same memory, on huge pages or not
     constexpr Encoding kEncodings[] = {Encoding::kIndex, Encoding::kMask, Encoding::kNone};
     for (std::size_t e = 0; e < 3; ++e) {
         const double share = (span.end - span.begin) / 3, from = span.begin + share * static_cast<double>(e);
@@ -63,8 +64,8 @@ std::vector<ResolutionResult> studyResolution(const BenchPoints& points,
         }
         std::vector<Times> times(sizes.size());
         for (std::uint64_t run = 0; run <= options.repeat; ++run) {
-            for (std::size_t k = 0; k < sizes.size(); ++k)
-                runOnce(points, options, run > 0, times[k], sizes[k]);
+            for (const std::size_t k : orderOfRun(sizes.size(), run))
+                runOnce(points, options, run > 0, engine, times[k], sizes[k]);
         }
         for (std::size_t k = 0; k < sizes.size(); ++k) {
             sizes[k].gridSeconds = median(times[k].grid);
