@@ -33,11 +33,11 @@ struct SearchOptions {
     /// cells, 1 to 3 (SparseGrid::reach()). 0.5 makes masks smaller.
     /// 0: as suits the input. That is the voxels of a VDB grid where they serve as cells (a transform that does nothing
     /// but scale, radius between half a voxel's edge and one, every offset P within 1/2), which saves the sort; else
-    /// chosen by how dense the particles are: 0.5 to 4.
+    /// chosen by how dense the particles are: 0.5, 1, 1.5, 2 or 3.
     double cellSize = 0;
 
     /// Whether a size that is chosen may be above 1, which is faster where few cells hold many particles and makes masks
-    /// two to three times as large. Not where hostMemoryBytes is set.
+    /// up to three times as large. Not where hostMemoryBytes is set.
     bool wideCells = true;
 
     NonFinite nonfinite = NonFinite::kSkip;

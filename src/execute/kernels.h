@@ -26,6 +26,11 @@ using SearchTaskFunction = void (*)(const SearchContext&, const SearchTask&, con
 using LocateAxisFunction = bool (*)(const double* t, std::size_t count, double limit, std::int32_t* leaf,
                                     float* local);
 
+// Draws cubes by a hash of their coordinates, which are `rows` times the position rounded down: 1 for a position in one whose
+// hash is at most `last`, else 0. Arbitrary for positions that are not finite or pass 2^31 cubes.
+using DrawLotsFunction = void (*)(const double* x, const double* y, const double* z, std::size_t count,
+                                  const double (*rows)[3], std::uint32_t last, std::uint8_t* drawn);
+
 // For each occupied cell of a leaf: the particles of the cells in its reach, and their sum weighted by `shares`, which
 // has (2 reach + 1)^3 of them by offset, lexicographic.
 using ExpectCellsFunction = void (*)(const BlockView&, std::uint32_t leaf, const std::uint32_t* neighborhood,
@@ -39,6 +44,7 @@ struct Kernels {
     SearchTaskFunction mask;  // rows of membership bits
     SearchTaskFunction count; // counts alone
     LocateAxisFunction locateAxis;
+    DrawLotsFunction drawLots;
     ExpectCellsFunction expectCells;
 };
 

@@ -3,6 +3,7 @@
 #include "execute/expect_cells-inl.h"
 #include "execute/kernels.h"
 #include "execute/search_task-inl.h"
+#include "grid/draw_lots-inl.h"
 #include "grid/locate_axis-inl.h"
 
 namespace vdb_nns {
@@ -12,6 +13,7 @@ const Kernels kKernelsSse4 = {searchTask<IndexRows<StreamedRows>>,
                               searchTask<MaskRows>,
                               searchTask<CountRows>,
                               locateAxis,
+                              drawLots,
                               expectCells};
 
 } // namespace vdb_nns

@@ -47,9 +47,9 @@ Placement placeParticles(const ParticleSource& source, double radius, const Cell
 void mergeLeaves(std::vector<Chunk>& chunks, SparseGridData& grid);
 
 // The size, in radii, that a search of these particles is fastest with; above 1 only where it may be. The same for any number of
-// threads. `map` is of cells of the radius.
+// threads.
 // Cost: a thousandth of a pass over the particles, and where they are not dense a pass.
-double chooseCellSize(const ParticleSource& source, const CellMap& map, bool mayBeWide);
+double chooseCellSize(const ParticleSource& source, double radius, SimdLevel simd, bool mayBeWide);
 
 CapacityError gridDoesNotFit(std::size_t particles, std::size_t leaves, std::uint64_t needed,
                              std::uint64_t allowed);

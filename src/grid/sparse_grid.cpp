@@ -209,9 +209,8 @@ void buildSparseGrid(const ParticleView& view, double radius, const SearchOption
 {
     if (options.cellSize > 0) return sortIntoCells(view, radius, options.cellSize, options, scratch, grid);
     if (takeOverLeaves(view, radius, options, grid)) return;
-    const CellMap map(view.source(), radius, 1, options.simd);
     const bool mayBeWide = options.wideCells && options.hostMemoryBytes == 0;
-    const double chosen = chooseCellSize(view.source(), map, mayBeWide);
+    const double chosen = chooseCellSize(view.source(), radius, options.simd, mayBeWide);
     if (chosen < 1) {
         try {
             return sortIntoCells(view, radius, chosen, options, scratch, grid);

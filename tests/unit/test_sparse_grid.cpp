@@ -397,8 +397,8 @@ TEST(SparseGrid, CellsFollowTheDensity)
         double radiusFactor, size;
     };
     for (const Case& c :
-         {Case{"block", 2, 1}, Case{"block", 1, 2}, Case{"block", 0.6, 4}, Case{"block", 6, 0.5},
-          Case{"sheet", 2, 2}, Case{"spray", 2, 2}, Case{"clusters", 2, 2}}) {
+         {Case{"block", 2, 1}, Case{"block", 1.4, 1.5}, Case{"block", 1, 2}, Case{"block", 0.1, 3},
+          Case{"block", 6, 0.5}, Case{"sheet", 2, 2}, Case{"spray", 2, 3}, Case{"clusters", 2, 3}}) {
         SceneOptions sceneOptions;
         sceneOptions.name = c.scene;
         sceneOptions.count = 60000;
@@ -416,12 +416,37 @@ TEST(SparseGrid, CellsFollowTheDensity)
         EXPECT_NEAR(size, c.size, 1e-3);
         EXPECT_EQ(sizeOf(shuffledTriples(scene.positions, 3)), size); // whatever the order
         tbb::task_arena(1).execute([&] { EXPECT_EQ(sizeOf(scene.positions), size); });
+        options.simd = SimdLevel::kScalar;
+        EXPECT_EQ(sizeOf(scene.positions), size);
+        options.simd = SimdLevel::kBest;
         options.hostMemoryBytes = std::uint64_t(1) << 30; // wide cells make large masks
         EXPECT_NEAR(sizeOf(scene.positions), std::min(c.size, 1.0), 1e-3);
         options.hostMemoryBytes = 0;
         options.wideCells = false;
         EXPECT_NEAR(sizeOf(scene.positions), std::min(c.size, 1.0), 1e-3);
     }
+}
+
+// Most particles at one place, the others alone. Where the pilot draws the cube of the crowd it stops: cells of the radius.
+TEST(SparseGrid, ACrowdAmongLoneParticlesEndsThePilot)
+{
+    constexpr std::size_t kCount = 400000;
+    std::vector<float> xyz;
+    for (std::size_t i = 0; i < kCount; ++i) {
+        for (std::size_t k : {i % 97, i / 97 % 89, i / 97 / 89})
+            xyz.push_back(i % 4 == 0 ? 9.0f * static_cast<float>(k) : 0.5f);
+    }
+    int drawn = 0, missed = 0;
+    for (int move = 0; move < 40; ++move) { // by whole cubes, which draws others
+        for (float& x : xyz) x += 6.0f;
+        const ParticleView view = ParticleView::fromArray(xyz.data(), kCount);
+        const double size = SearchEngine().buildGrid(view, 1.0).cellSize();
+        drawn += size < 1.01;
+        missed += size > 2.99;
+    }
+    EXPECT_GT(drawn, 0);
+    EXPECT_GT(missed, drawn);
+    EXPECT_EQ(drawn + missed, 40);
 }
 
 } // namespace
