@@ -18,8 +18,9 @@ class Bench(CliCase):
         names = [r["method"] for r in report["results"]]
         self.assertEqual(names[:4], ["ours-index", "ours-mask", "ours-count", "ours-visit"])
         for name in ("certified", "filter-only", "world-float", "world-double", "codec16", "codec8", "sampled50", "sampled10",
-                     "nearest32", "nearest16", "openvdb", "nanoflann-float", "nanoflann-double", "brute-force"):
+                     "nearest32", "nearest16", "openvdb", "brute-force"):
             self.assertIn(name, names)
+        self.check_nanoflann(names)
         for study in ("estimators", "budgets", "resolution", "scaling", "model_share", "savings", "stability"):
             self.assertEqual(report[study], [])
         for result in report["results"]:
@@ -41,6 +42,15 @@ class Bench(CliCase):
             rows = list(csv.DictReader(file))
         self.assertEqual([row["method"] for row in rows], names)
         self.assertEqual([int(row["pairs"]) for row in rows], [r["pairs"] for r in report["results"]])
+
+    def check_nanoflann(self, names):
+        """A program that was built without it says so, and does without."""
+        done = cli_case.run("bench", "--scene", "block", "-n", "100", "--method", "nanoflann-float", "--repeat", "1")
+        for name in ("nanoflann-float", "nanoflann-double"):
+            self.assertEqual(name in names, done.code == 0, done.err)
+        if done.code != 0:
+            self.assertEqual(done.code, 2)
+            self.assertIn("install libnanoflann-dev and build again", done.err)
 
     def check_accuracy(self, result):
         accuracy, name = result["accuracy"], result["method"]
@@ -309,6 +319,14 @@ class Bench(CliCase):
                                "0")["results"][0]["accuracy"]
         self.assertEqual((accuracy["checked_queries"], accuracy["missing_per_million"]), (0, None))
 
-    def test_methods_without_their_study(self):
-        self.fails(2, "bench", "--scene", "block", "-n", "500", "--study", "resolution", "--method", "nearest8",
-                   says="--study methods")
+    def test_flags_that_nothing_heeds(self):
+        for study, flag, value, says in (
+                ("resolution", "--method", "nearest8", "--study methods"), ("resolution", "--device", "sim", "budgets"),
+                ("resolution", "--cell-size", "1", "scaling"), ("resolution", "--sample", "10", "methods, scaling"),
+                ("scaling", "--csv", self.path("x.csv"), "--study methods"), ("model", "--estimator", "all", "estimators"),
+                ("estimators", "--sim", "h200", "model")):
+            self.fails(2, "bench", "--scene", "block", "-n", "500", "--study", study, flag, value, says=[flag, says])
+        for flag, value in (("--sample", "10"), ("--repeat", "3"), ("--shuffle", "1"), ("--points-out", self.path("p")),
+                            ("-r", "1"), ("-g", "points"), ("--host-memory", "1GB"), ("--device", "sim"),
+                            ("--cell-size", "1"), ("--estimator", "all"), ("--csv", self.path("x.csv"))):
+            self.fails(2, "bench", "--stability", flag, value, says=["would change nothing here", "--study"])

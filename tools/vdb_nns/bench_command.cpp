@@ -6,6 +6,7 @@
 #include "bench/report/device_report.h"
 #include "bench/stability/matrix.h"
 #include "bench/studies/method_study.h"
+#include "bench/study_flags.h"
 #include "bench/truth.h"
 #include "cli_options.h"
 #include "command.h"
@@ -39,6 +40,7 @@ struct BenchFlags {
     std::string sceneName, methods, studies, estimators, csv, chart, pointsOut, shuffleSeed;
     std::string repeat = "5", sample = "auto";
     bool stability = false;
+    std::set<std::string> given; // the flags of the command line, as `--name`
 };
 
 struct BenchPlan {
@@ -152,14 +154,9 @@ void checkInput(const BenchFlags& flags, BenchPlan& plan)
     } else if (!flags.scene.count.empty()) {
         throw InvalidInput("-n is for --scene; a file has the points it has");
     }
-    if (!flags.csv.empty() && !plan.has("methods"))
-        throw InvalidInput("--csv has the results of methods: add --study methods");
-    if (!flags.methods.empty() && !plan.has("methods") && !flags.stability) {
-        throw InvalidInput("--method is for the study of methods and for --stability: add --study methods");
-    }
-    if (!flags.estimators.empty() && !plan.has("estimators")) {
-        throw InvalidInput("--estimator is for the study of estimators: add --study estimators");
-    }
+    std::set<std::string> studies = plan.studies;
+    if (flags.stability) studies.insert("stability");
+    checkStudyFlags(flags.given, studies);
 }
 
 void checkFiles(const BenchFlags& flags)
@@ -428,7 +425,12 @@ Command addBenchCommand(CLI::App& app)
     CLI::App* command = app.add_subcommand("bench", "speed and accuracy of every method side by side");
     const auto flags = std::make_shared<BenchFlags>();
     addFlags(*command, *flags);
-    return {command, [flags](Session& session) { return runBenchCommand(*flags, session); }};
+    return {command, [command, flags](Session& session) {
+                for (const CLI::Option* option : command->get_options()) {
+                    if (option->count() > 0) flags->given.insert(option->get_name());
+                }
+                return runBenchCommand(*flags, session);
+            }};
 }
 
 } // namespace vdb_nns::cli

@@ -41,6 +41,7 @@ struct RunCondition {
     bool threadCounts = false; ///< a run for each of 1 to twice as many threads as there are cores
     bool shuffled = false;     ///< a run in order and one in random order
     HostRoom hostRoom = HostRoom::kFree;
+    double cellSize = 0; ///< of methods of the engine, in radii; 0: what suits the particles
     std::optional<std::uint64_t>
         addressBytes;                       ///< that the process may map, where that is less than its limit
     std::uint64_t deviceBytes = 128u << 10; ///< of a simulated device

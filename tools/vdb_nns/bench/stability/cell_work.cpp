@@ -225,6 +225,7 @@ private:
     {
         const RunCondition& condition = mCase.condition;
         MethodSetup setup;
+        setup.options.cellSize = condition.cellSize;
         if (condition.hostRoom == HostRoom::kOfCell) setup.options.hostMemoryBytes = mappableBytes() / 4 * 3;
         if (condition.hostRoom == HostRoom::kGridAlone) {
             setup.options.hostMemoryBytes = bytesOfGridAlone(particles);

@@ -184,16 +184,23 @@ StabilityCase doubleCase(const char* group, const char* name, const char* what, 
     return {group, name, what, [=] { return asDoubles(make()); }};
 }
 
+// In cells of the radius, so that the seam is where the faces of nodes are.
+StabilityCase seamCase(const char* name, const char* what, PointsMaker make)
+{
+    StabilityCase result = doubleCase("seams", name, what, make);
+    result.condition.cellSize = 1;
+    return result;
+}
+
 void addSeams(std::vector<StabilityCase>& cases)
 {
-    cases.push_back(doubleCase("seams", "seam-0", "blocks across zero: int(x) for floor(x), warp #1256",
-                               [] { return seam(0); }));
-    cases.push_back(doubleCase("seams", "seam-8", "blocks across faces of leaves, both signs: warp #283",
-                               [] { return seam(8); }));
-    cases.push_back(doubleCase("seams", "seam-128",
-                               "the same of internal nodes: AMReX #5702, boxes that disagree",
-                               [] { return seam(128); }));
-    cases.push_back(doubleCase("seams", "seam-4096", "the same of upper nodes", [] { return seam(4096); }));
+    cases.push_back(
+        seamCase("seam-0", "blocks across zero: int(x) for floor(x), warp #1256", [] { return seam(0); }));
+    cases.push_back(
+        seamCase("seam-8", "blocks across faces of leaves, both signs: warp #283", [] { return seam(8); }));
+    cases.push_back(seamCase("seam-128", "the same of internal nodes: AMReX #5702, boxes that disagree",
+                             [] { return seam(128); }));
+    cases.push_back(seamCase("seam-4096", "the same of upper nodes", [] { return seam(4096); }));
     cases.push_back(
         doubleCase("seams", "mirrored",
                    "a cloud and its mirror images: hashes of |x| collide, Ten Minute Physics #26, "
