@@ -142,7 +142,7 @@ TEST_P(Agreement, EveryCellSizeLevelAndEncodingMatchesTheOracle)
     const SetView input = this->input();
     const Lists oracle = oracleLists(set());
     SearchEngine engine;
-    for (const double cellSize : {1.0, 1.0 / 2, 1.0 / 3, 0.8, 2.0, 4.0, 0.0}) {
+    for (const double cellSize : {1.0, 1.0 / 2, 1.0 / 3, 0.8, 1.5, 2.0, 3.0, 4.0, 0.0}) {
         Lists first; // in the order that all others must have
         for (const SimdLevel simd : simdLevels()) {
             SCOPED_TRACE("cells of " + std::to_string(cellSize) + " radii" + ", " + simdLevelName(simd));
