@@ -77,14 +77,19 @@ Glance glanceAtLeaves(const ParticleSource& source, const CellMap& map)
     leaves.reserve(glanced);
     double stored[3][kBatch];
     CellMap::Located at;
-    for (std::size_t k = 0; k < glanced; ++k) {
-        // One of each of as many equal shares, anywhere in it: no lattice falls in step with that.
-        const std::size_t low = size * k / glanced, high = size * (k + 1) / glanced;
-        const std::size_t i = low + hashOf(static_cast<std::int64_t>(k), 0, 0) % (high - low);
-        source.read(i, 1, map.reference, stored[0], stored[1], stored[2]);
-        if (!map.inRange(stored[0][0], stored[1][0], stored[2][0])) continue;
-        map.locate(stored, 1, at);
-        leaves.push_back(hashOf(at.leaf[0][0], at.leaf[1][0], at.leaf[2][0]));
+    for (std::size_t begin = 0; begin < glanced; begin += kBatch) {
+        const std::size_t n = std::min(kBatch, glanced - begin);
+        for (std::size_t k = 0; k < n; ++k) {
+            // One of each of as many equal shares, anywhere in it: no lattice falls in step with that.
+            const std::size_t low = size * (begin + k) / glanced, high = size * (begin + k + 1) / glanced;
+            const std::size_t i = low + hashOf(static_cast<std::int64_t>(begin + k), 0, 0) % (high - low);
+            source.read(i, 1, map.reference, &stored[0][k], &stored[1][k], &stored[2][k]);
+        }
+        map.locate(stored, n, at);
+        for (std::size_t k = 0; k < n; ++k) {
+            if (map.inRange(stored[0][k], stored[1][k], stored[2][k]))
+                leaves.push_back(hashOf(at.leaf[0][k], at.leaf[1][k], at.leaf[2][k]));
+        }
     }
     if (leaves.empty()) return {};
     std::sort(leaves.begin(), leaves.end());
@@ -278,16 +283,17 @@ private:
 double cheapestSize(const Sample& sample)
 {
     const double cubes = static_cast<double>(sample.cubeCount());
-    double cost[kSizeCount], cells = 0;
-    for (int s = 0; s < kSizeCount; ++s) {
+    double cost[kSizeCount], cells[kSizeCount];
+    tbb::parallel_for(0, kSizeCount, [&](int s) {
         SizeTrial trial(kSizes[s]);
+        const std::uint16_t* const places = sample.places.data();
         for (std::size_t c = 0; c < sample.cubeCount(); ++c)
-            trial.addCube(&sample.places[sample.cubeStart[c]], &sample.places[0] + sample.cubeStart[c + 1]);
-        cells = trial.cells();
-        cost[s] = trial.tests() + kCellTests * cells;
-    }
+            trial.addCube(places + sample.cubeStart[c], places + sample.cubeStart[c + 1]);
+        cells[s] = trial.cells();
+        cost[s] = trial.tests() + kCellTests * cells[s];
+    });
     // Leaves are larger than the cubes. They become fewer with their edge as cubes do against cells of 3, half their edge.
-    const double power = std::log2(cells / cubes);
+    const double power = std::log2(cells[kSizeCount - 1] / cubes);
     for (int s = 0; s < kSizeCount; ++s)
         cost[s] += kLeafTests * cubes * std::pow(8 * kSizes[s].cellSize / kCubeRadii, -power);
     // Where sizes cost the same the widest: leaves become fewer still farther out, as with lone particles far from each other.
