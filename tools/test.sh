@@ -29,4 +29,4 @@ ASAN_OPTIONS=${ASAN_OPTIONS:-allocator_may_return_null=1} UBSAN_OPTIONS=${UBSAN_
 took
 
 say "the suite"
-ctest --test-dir build --output-on-failure --no-tests=error
+VDB_NNS_REQUIRE_PEERS=1 ctest --test-dir build --output-on-failure --no-tests=error

@@ -45,7 +45,7 @@ CapacityError listsDoNotFit(Encoding encoding, bool counted, std::uint64_t neede
     return CapacityError(std::string(encoding == Encoding::kIndex ? "index lists" : "mask lists") + " need " +
                              (counted ? "" : "at least ") + gigabytes(needed) + ", allowed are " +
                              gigabytes(allowed) + ": " +
-                             (encoding == Encoding::kIndex ? "use encoding mask, " : "use ") +
+                             (encoding == Encoding::kIndex ? "use encoding mask, " : "use a cell size of 1 or less, ") +
                              "counts alone (encoding none), a smaller radius, or more host memory",
                          needed, allowed);
 }

@@ -1,4 +1,5 @@
-// One vector of floats or 32-bit integers for each instruction set that the search is built for. Included by the
+// Vectors of floats or 32-bit integers for each instruction set that the search is built for: Simd, the widest, and
+// NarrowSimd for what is short and stands anywhere. Included by the
 // search_*.cpp files only, each compiled with its own flags: everything has internal linkage.
 //
 // movesign() gives one bit a lane, lane 0 lowest. compress(v, order(m)) moves the lanes of m to the front, in order; what

@@ -2,7 +2,7 @@
 // half of it; where few cells hold more than a handful of particles, finding and gathering cells and leaves costs more than the
 // tests that wider cells add.
 //
-//   1. A glance at every thousandth particle: how many leaves they are in. Where those are few for all particles, the scene is
+//   1. A glance at a thousand particles, or at every thousandth: how many leaves they are in. Where those are few for all particles, the scene is
 //      dense, and nothing more is looked at.
 //   2. Else a pilot: one pass over all particles, which keeps those of some cubes of 6 radii, drawn by a hash of their
 //      coordinates, and counts in these what each size would cost.
@@ -38,7 +38,7 @@ constexpr double kDense = 4;    // particles a cell if all cells were full: no l
 
 // What a search costs: its candidate tests, and for each cell and each leaf the time of so many. Fitted to the times of structure
 // and search of 25 scenes in sizes 1, 1.5, 2 and 3, for lists, masks and counts, whose own fits are 1500 to 3500 and 16000 to
-// 33000; what is chosen hangs little on them (docs/accuracy.md).
+// 33000; what is chosen hangs little on them: from 3000 to 4000 and from 10000 to 40000 the same.
 constexpr double kCellTests = 3500, kLeafTests = 30000;
 constexpr double kSameCost = 1.02;
 
@@ -159,11 +159,12 @@ struct Draw {
 
 // Keeps the particles of cubes that are drawn.
 void keepSome(const ParticleSource& source, const CubeMap& map, DrawLotsFunction drawLots, std::size_t begin,
-              std::size_t end, Draw& draw, std::vector<Kept>& kept)
+              std::size_t end, Draw& draw, std::vector<Kept>& kept, const CancelCheck& cancel)
 {
     double stored[3][kBatch];
     std::uint8_t drawn[kBatch];
     for (; begin < end && !draw.isCrowd(); begin += kBatch) {
+        if (begin / kBatch % 64 == 0) cancel.check();
         const std::size_t n = std::min(kBatch, end - begin), before = kept.size();
         source.read(begin, n, map.reference, stored[0], stored[1], stored[2]);
         drawLots(stored[0], stored[1], stored[2], n, map.rows, 0xFFFFFFFFu >> draw.log2Shares, drawn);
@@ -215,14 +216,15 @@ Sample groupByCube(const std::vector<std::vector<Kept>>& kept)
 }
 
 // None where a crowd is drawn.
-Sample runPilot(const ParticleSource& source, const CubeMap& map, DrawLotsFunction drawLots, double crowd)
+Sample runPilot(const ParticleSource& source, const CubeMap& map, DrawLotsFunction drawLots, double crowd,
+                const CancelCheck& cancel)
 {
     Draw draw(static_cast<double>(source.size()), crowd);
     const auto parts = 4 * static_cast<std::size_t>(tbb::this_task_arena::max_concurrency());
     std::vector<std::vector<Kept>> kept(parts);
     tbb::parallel_for(std::size_t(0), parts, [&](std::size_t p) {
         keepSome(source, map, drawLots, source.size() * p / parts, source.size() * (p + 1) / parts, draw,
-                 kept[p]);
+                 kept[p], cancel);
     });
     return draw.isCrowd() ? Sample() : groupByCube(kept);
 }
@@ -305,12 +307,13 @@ double cheapestSize(const Sample& sample)
 
 } // namespace
 
-double chooseCellSize(const ParticleSource& source, double radius, SimdLevel simd, bool mayBeWide)
+double chooseCellSize(const ParticleSource& source, double radius, SimdLevel simd, bool mayBeWide,
+                      const CancelCheck& cancel)
 {
     const Glance glance = glanceAtLeaves(source, CellMap(source, radius, 1, simd));
     if (glance.perLeaf >= kCrowded * kLeafCells) return 0.5;
     if (!mayBeWide || glance.perLeaf == 0 || glance.perLeaf >= kDense * kLeafCells) return 1;
-    const Sample sample = runPilot(source, CubeMap(source, radius), kernelsFor(simd).drawLots, glance.crowd);
+    const Sample sample = runPilot(source, CubeMap(source, radius), kernelsFor(simd).drawLots, glance.crowd, cancel);
     return sample.places.empty() ? 1 : cheapestSize(sample);
 }
 

@@ -47,9 +47,10 @@ Placement placeParticles(const ParticleSource& source, double radius, const Cell
 void mergeLeaves(std::vector<Chunk>& chunks, SparseGridData& grid);
 
 // The size, in radii, that a search of these particles is fastest with; above 1 only where it may be. The same for any number of
-// threads.
-// Cost: a thousandth of a pass over the particles, and where they are not dense a pass.
-double chooseCellSize(const ParticleSource& source, double radius, SimdLevel simd, bool mayBeWide);
+// threads and any instruction set. Throws Cancelled.
+// Cost: a look at a thousand particles, or a thousandth of them; and where they are not dense a pass over all.
+double chooseCellSize(const ParticleSource& source, double radius, SimdLevel simd, bool mayBeWide,
+                      const CancelCheck& cancel);
 
 CapacityError gridDoesNotFit(std::size_t particles, std::size_t leaves, std::uint64_t needed,
                              std::uint64_t allowed);

@@ -49,6 +49,7 @@ class Bench(CliCase):
         for name in ("nanoflann-float", "nanoflann-double"):
             self.assertEqual(name in names, done.code == 0, done.err)
         if done.code != 0:
+            self.assertNotEqual(os.environ.get("VDB_NNS_REQUIRE_PEERS"), "1", done.err)
             self.assertEqual(done.code, 2)
             self.assertIn("install libnanoflann-dev and build again", done.err)
 
@@ -328,5 +329,10 @@ class Bench(CliCase):
             self.fails(2, "bench", "--scene", "block", "-n", "500", "--study", study, flag, value, says=[flag, says])
         for flag, value in (("--sample", "10"), ("--repeat", "3"), ("--shuffle", "1"), ("--points-out", self.path("p")),
                             ("-r", "1"), ("-g", "points"), ("--host-memory", "1GB"), ("--device", "sim"),
-                            ("--cell-size", "1"), ("--estimator", "all"), ("--csv", self.path("x.csv"))):
+                            ("--cell-size", "1"), ("--estimator", "all"), ("--csv", self.path("x.csv")), ("--seed", "2")):
             self.fails(2, "bench", "--stability", flag, value, says=["would change nothing here", "--study"])
+        path = self.scene()
+        for flag, value in (("-n", "10"), ("--spacing", "2"), ("--radius-factor", "3"), ("--voxel-size", "1"), ("--offset", "1e3"),
+                            ("--distance", "1e3"), ("--fraction", "0.5")):
+            self.fails(2, "bench", path, flag, value, says="is for --scene")
+            self.fails(2, "bench", "--stability", flag, value, says="is for --scene")

@@ -427,6 +427,21 @@ TEST(SparseGrid, CellsFollowTheDensity)
     }
 }
 
+// A small crowd does not decide for all, wherever it is: the cube at the origin is drawn no more often than others.
+TEST(SparseGrid, ACrowdAtTheOriginIsOneOfMany)
+{
+    constexpr std::size_t kCount = 200000, kCrowd = 4000;
+    std::mt19937 random(7);
+    std::uniform_real_distribution<float> anywhere(-37, 37), inCube(0, 6);
+    std::vector<float> xyz(3 * kCount);
+    for (std::size_t i = 0; i < 3 * kCount; ++i) xyz[i] = i < 3 * kCrowd ? inCube(random) : anywhere(random);
+    for (int move = 0; move < 5; ++move) { // by whole cubes
+        const SparseGrid grid = SearchEngine().buildGrid(ParticleView::fromArray(xyz.data(), kCount), 1.0);
+        EXPECT_GT(grid.cellSize(), 1.9) << move;
+        for (float& x : xyz) x += 60.0f;
+    }
+}
+
 // Most particles at one place, the others alone. Where the pilot draws the cube of the crowd it stops: cells of the radius.
 TEST(SparseGrid, ACrowdAmongLoneParticlesEndsThePilot)
 {

@@ -31,6 +31,10 @@ namespace {
 // What a benchmark can look at, in the order in which it does.
 constexpr const char* kStudies[] = {"methods", "estimators", "budgets", "resolution", "scaling", "model"};
 
+// What makes a scene. --seed is also that of samples.
+constexpr const char* kSceneFlags[] = {"--count",  "--spacing",  "--radius-factor", "--voxel-size",
+                                       "--offset", "--distance", "--fraction"};
+
 struct BenchFlags {
     CommonFlags common;
     InputFlags input;
@@ -151,8 +155,11 @@ void checkInput(const BenchFlags& flags, BenchPlan& plan)
         if (!flags.input.grid.empty())
             throw InvalidInput("--grid is for a .vdb file, and --scene makes no grid");
         plan.scene = sceneOptions(flags.sceneName, flags.scene);
-    } else if (!flags.scene.count.empty()) {
-        throw InvalidInput("-n is for --scene; a file has the points it has");
+    } else {
+        for (const char* flag : kSceneFlags) {
+            if (flags.given.count(flag))
+                throw InvalidInput(std::string(flag) + " is for --scene; a file has the points it has");
+        }
     }
     std::set<std::string> studies = plan.studies;
     if (flags.stability) studies.insert("stability");

@@ -29,6 +29,7 @@ const std::vector<StudyFlag>& studyFlags()
         {"--cell-size", {"methods", "estimators", "budgets", "scaling", "model"}},
         {"--repeat", withPoints},
         {"--shuffle", withPoints},
+        {"--seed", withPoints},
         {"--points-out", withPoints},
         {"--radius", withPoints},
         {"--grid", withPoints},

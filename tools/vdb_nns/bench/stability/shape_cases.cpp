@@ -6,9 +6,11 @@
 namespace vdb_nns::cli {
 namespace {
 
-// Blocks across a face of nodes on every axis, of both signs, some particles on the face and an ulp beside it.
+// Blocks across a face of nodes on every axis, of both signs, some particles on the face and an ulp beside it: on the face of
+// cells of the radius, and on that of ours, which are a hair wider.
 CasePoints seam(double faceCells)
 {
+    constexpr double kHair = 1.0 / 65536;
     CasePoints points;
     CaseRandom random(3);
     const double face = faceCells * points.radius;
@@ -20,7 +22,8 @@ CasePoints seam(double faceCells)
             for (int k = 0; k < 30; ++k) {
                 const Vec3d off = random.point(2);
                 Vec3d on = {center[0] + off[0], center[1] + off[1], center[2] + off[2]};
-                on[axis] = k % 3 == 0 ? at : std::nextafter(at, k % 3 == 1 ? -1e9 : 1e9);
+                const double face = k < 15 ? at : at * (1 + kHair);
+                on[axis] = k % 3 == 0 ? face : std::nextafter(face, k % 3 == 1 ? -1e9 : 1e9);
                 points.at.push_back(on);
             }
         }
