@@ -11,7 +11,7 @@ namespace vdb_nns {
 enum class Encoding {
     kIndex, ///< 4 bytes for each neighbor: its number. Fast to read.
     kMask, ///< one bit for each candidate of the cells in reach: 0.5 to 1 byte a neighbor in fluids, decoded when read.
-    kNone  ///< counts only.
+    kNone ///< counts only.
 };
 
 /// What to do with particles whose position is NaN or infinite.

@@ -42,12 +42,12 @@ void checkOptions(const SearchOptions& options)
 
 CapacityError listsDoNotFit(Encoding encoding, bool counted, std::uint64_t needed, std::uint64_t allowed)
 {
-    return CapacityError(std::string(encoding == Encoding::kIndex ? "index lists" : "mask lists") + " need " +
-                             (counted ? "" : "at least ") + gigabytes(needed) + ", allowed are " +
-                             gigabytes(allowed) + ": " +
-                             (encoding == Encoding::kIndex ? "use encoding mask, " : "use a cell size of 1 or less, ") +
-                             "counts alone (encoding none), a smaller radius, or more host memory",
-                         needed, allowed);
+    return CapacityError(
+        std::string(encoding == Encoding::kIndex ? "index lists" : "mask lists") + " need " +
+            (counted ? "" : "at least ") + gigabytes(needed) + ", allowed are " + gigabytes(allowed) + ": " +
+            (encoding == Encoding::kIndex ? "use encoding mask, " : "use a cell size of 1 or less, ") +
+            "counts alone (encoding none), a smaller radius, or more host memory",
+        needed, allowed);
 }
 
 SearchRun::SearchRun(const SparseGridData& g, const SearchOptions& options)

@@ -313,7 +313,8 @@ double chooseCellSize(const ParticleSource& source, double radius, SimdLevel sim
     const Glance glance = glanceAtLeaves(source, CellMap(source, radius, 1, simd));
     if (glance.perLeaf >= kCrowded * kLeafCells) return 0.5;
     if (!mayBeWide || glance.perLeaf == 0 || glance.perLeaf >= kDense * kLeafCells) return 1;
-    const Sample sample = runPilot(source, CubeMap(source, radius), kernelsFor(simd).drawLots, glance.crowd, cancel);
+    const Sample sample =
+        runPilot(source, CubeMap(source, radius), kernelsFor(simd).drawLots, glance.crowd, cancel);
     return sample.places.empty() ? 1 : cheapestSize(sample);
 }
 

@@ -210,7 +210,8 @@ void buildSparseGrid(const ParticleView& view, double radius, const SearchOption
     if (options.cellSize > 0) return sortIntoCells(view, radius, options.cellSize, options, scratch, grid);
     if (takeOverLeaves(view, radius, options, grid)) return;
     const bool mayBeWide = options.wideCells && options.hostMemoryBytes == 0;
-    const double chosen = chooseCellSize(view.source(), radius, options.simd, mayBeWide, CancelCheck(options.progress, "grid"));
+    const double chosen =
+        chooseCellSize(view.source(), radius, options.simd, mayBeWide, CancelCheck(options.progress, "grid"));
     if (chosen < 1) {
         try {
             return sortIntoCells(view, radius, chosen, options, scratch, grid);
