@@ -245,9 +245,8 @@ public:
     // side - 1 have the next cell in the same cube: such pairs of cells count for all.
     void addCube(const std::uint16_t* begin, const std::uint16_t* end)
     {
-        constexpr int kMost = 6 + 2; // with empty cells around
-        float sums[4]
-                  [kMost * kMost * kMost]; // particles of a cell; with those next to it along z; and y; and x
+        constexpr int kMost = 6 + 2;          // with empty cells around
+        float sums[4][kMost * kMost * kMost]; // of a cell; with those next to it along z; and along y; and x
         const int count = mPadded * mPadded * mPadded;
         std::fill_n(sums[0], count, 0.0f);
         for (const std::uint16_t* place = begin; place < end; ++place) {

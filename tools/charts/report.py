@@ -82,15 +82,18 @@ def _merge(report, document, path):
     report.all_agree = report.all_agree and document.get("all_agree") is not False
     for section, keys in KEYS.items():
         known = {_identity(row, keys): at for at, row in enumerate(report.sections[section])}
+        replaced = []
         for row in document.get(section) or []:
             identity = _identity(row, keys)
             if identity in known:
                 report.sections[section][known[identity]] = row
-                what = ", ".join(str(row.get(key)) for key in keys)
-                report.notes.append(f"{path}: {section} of {what} are there twice, the last ones count")
+                replaced.append(", ".join(str(row.get(key)) for key in keys))
             else:
                 known[identity] = len(report.sections[section])
                 report.sections[section].append(row)
+        if replaced:
+            count = f"{len(replaced)} of {section} are" if len(replaced) > 1 else f"one of {section} is"
+            report.notes.append(f"{path}: {count} there twice, the last ones count (first: {replaced[0]})")
 
 
 def _identity(row, keys):
