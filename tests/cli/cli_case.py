@@ -37,6 +37,11 @@ def limit_file_size(size):
     return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
 
+def limit_address_space(size):
+    """For preexec_fn: the process maps no more than `size` bytes."""
+    return lambda: resource.setrlimit(resource.RLIMIT_AS, (size, size))
+
+
 class CliCase(unittest.TestCase):
     def setUp(self):
         self.folder = tempfile.mkdtemp(prefix="vdb_nns_cli_")

@@ -1,10 +1,12 @@
 """--host-memory: the most memory of the whole process. Whatever the bound takes away, the file is the same."""
 import filecmp
+import json
 import os
 
 import numpy as np
 
-from cli_case import CliCase, limit_file_size
+import cli_case
+from cli_case import CliCase, limit_address_space, limit_file_size
 
 MB = 10 ** 6
 
@@ -147,3 +149,30 @@ class TooLittle(CliCase):
         done = self.fails(4, "search", path, "-r", "0.15", "-o", self.path("x.npz"), "--host-memory", "147MB", "-T",
                           "1", says=["the grid and the counts of 2000000 particles need", "bytes", "--host-memory"])
         self.assertIn("index lists need", done.err)
+
+
+class WideCells(CliCase):
+    def test_masks_that_do_not_fit_are_made_in_cells_of_the_radius(self):
+        path = self.scene("spray", 1000000)
+        search = ("search", path, "--encoding", "mask", "--checksum", "-T", "2", "--device", "cpu", "--json", self.path("r.json"), "-f")
+        free = self.report("search", path, "--encoding", "mask", "--checksum", "-T", "2")
+        self.assertGreater(free["grid"]["cell_size"], 2 * free["radius"]["world"])
+
+        def code(size, *args):
+            return cli_case.run(*search, *args, preexec_fn=limit_address_space(size * MB)).code
+
+        size, enough = 0, 2000  # where the masks of wide cells do not fit, and where they do
+        while enough - size > 10:
+            middle = (size + enough) // 2
+            if code(middle, "--cell-size", "3") == 0:
+                enough = middle
+            else:
+                size = middle
+        self.assertEqual((code(size, "--cell-size", "3"), code(size, "--cell-size", "1")), (4, 0))
+        done = self.succeeds(*search, preexec_fn=limit_address_space(size * MB))
+        self.assertRegex(done.err, "cells of the radius are taken instead")
+        with open(self.path("r.json")) as file:
+            found = json.load(file)
+        self.assertEqual(found["result"], free["result"])
+        self.assertLess(found["grid"]["cell_size"], 1.01 * free["radius"]["world"])
+        self.assertLess(found["memory"]["list_bytes"], free["memory"]["list_bytes"] / 2)

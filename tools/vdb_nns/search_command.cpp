@@ -197,8 +197,25 @@ bool takeLess(const SparseGrid& grid, const SearchFlags& flags, SearchPlan& plan
     return true;
 }
 
+// Whether masks would be smaller in cells of the radius.
+bool hasWideCells(const SparseGrid& grid, const SearchPlan& plan)
+{
+    return plan.options.cellSize == 0 && grid.cellSize() > 1.01 * grid.radius();
+}
+
+// The grid once more, in cells of the radius.
+void narrowCells(SearchEngine& engine, SparseGrid& grid, SearchPlan& plan)
+{
+    const ParticleView view = grid.view();
+    const double radius = grid.radius();
+    grid = SparseGrid();
+    engine = SearchEngine(); // memory was short
+    plan.options.cellSize = 1;
+    grid = engine.buildGrid(view, radius, plan.options);
+}
+
 // Lists in the encoding of the plan, or in the one that fits.
-NeighborLists searchGrid(SearchEngine& engine, const SparseGrid& grid, const SearchFlags& flags,
+NeighborLists searchGrid(SearchEngine& engine, SparseGrid grid, const SearchFlags& flags,
                          const HostMemory& memory, SearchPlan& plan, const ProgressSpan& span,
                          SearchReport& report)
 {
@@ -209,11 +226,16 @@ NeighborLists searchGrid(SearchEngine& engine, const SparseGrid& grid, const Sea
             if (plan.devices.devices.empty()) return engine.search(grid, options);
             return searchOnDevices(engine, grid, plan.devices, options, span, report);
         } catch (const CapacityError& error) {
-            if (!takeLess(grid, flags, plan)) throw;
-            if (flags.common.quiet) continue;
-            std::fprintf(stderr, "vdb_nns: %s; %s\n", error.what(),
-                         plan.straightToFile ? "rows go straight to the file instead"
-                                             : "they are held as masks instead");
+            const bool areLargeMasks = plan.options.encoding == Encoding::kMask && hasWideCells(grid, plan);
+            if (!areLargeMasks && !takeLess(grid, flags, plan)) throw;
+            if (!flags.common.quiet) {
+                std::fprintf(stderr, "vdb_nns: %s; %s\n", error.what(),
+                             areLargeMasks         ? "cells of the radius are taken instead"
+                             : plan.straightToFile ? "rows go straight to the file instead"
+                                                   : "they are held as masks instead");
+            }
+            if (plan.options.encoding == Encoding::kMask && hasWideCells(grid, plan))
+                narrowCells(engine, grid, plan);
         }
     }
 }
@@ -234,13 +256,13 @@ NeighborLists runSearch(SearchEngine& engine, const ParticleView& view, double r
         progress.begin("grid", from, from + step / 3);
         const Stopwatch gridWatch;
         plan.options.hostMemoryBytes = memory.gridBytes();
-        const SparseGrid grid = engine.buildGrid(view, radius, plan.options);
+        SparseGrid grid = engine.buildGrid(view, radius, plan.options);
         if (memory.isBounded()) returnFreedMemory();
         gridSeconds.push_back(gridWatch.seconds());
         progress.begin("search", from + step / 3, from + step);
         const Stopwatch searchWatch;
-        lists =
-            searchGrid(engine, grid, flags, memory, plan, {progress, from + step / 3, from + step}, report);
+        lists = searchGrid(engine, std::move(grid), flags, memory, plan,
+                           {progress, from + step / 3, from + step}, report);
         searchSeconds.push_back(searchWatch.seconds() - report.seconds.estimate.value_or(0) -
                                 report.seconds.plan.value_or(0));
     }
