@@ -47,3 +47,6 @@ class Interrupt(CliCase):
     def test_while_measuring(self):
         self.stop(signal.SIGINT, 130, 31, "bench", "--scene", "block", "-n", "50k", "--repeat", "5000",
                   "--csv", self.path("x.csv"))
+        for study in ("resolution", "scaling", "model"):
+            self.stop(signal.SIGINT, 130, 31, "bench", "--scene", "block", "-n", "2k", "--repeat", "1000", "--study", study,
+                      "--json", self.path("x.json"))

@@ -328,8 +328,11 @@ private:
     {
         span.printer.begin(study.c_str(), span.begin, span.end);
         if (study == "methods") {
-            report.results =
-                studyMethods(mPoints, truth(), methodOptions(parseMethods(mPlan.methods, mSuits)), span);
+            const ProgressSpan first = span.part(0, 10);
+            span.printer.begin("truth", first.begin, first.end);
+            const Truth truth = findTruth(mPoints.view, mRadius, truthOptions());
+            report.results = studyMethods(mPoints, truth, methodOptions(parseMethods(mPlan.methods, mSuits)),
+                                          {span.printer, first.end, span.end});
             setLowerBounds(report.results);
         } else if (study == "estimators") {
             SearchOptions options = mSetup.options;
@@ -355,7 +358,6 @@ private:
         options.progress = &mProgress;
         return options;
     }
-    Truth truth() const { return findTruth(mPoints.view, mRadius, truthOptions()); }
 
     MethodStudyOptions methodOptions(std::vector<MethodSpec> methods) const
     {

@@ -5,6 +5,7 @@
 
 #include <atomic>
 #include <chrono>
+#include <cstddef>
 #include <mutex>
 #include <string>
 
@@ -48,6 +49,13 @@ void throwIfStopped();
 struct ProgressSpan {
     ProgressPrinter& printer;
     double begin, end;
+
+    /// The k-th of `count` equal parts.
+    ProgressSpan part(std::size_t k, std::size_t count) const
+    {
+        const double step = (end - begin) / static_cast<double>(count);
+        return {printer, begin + step * static_cast<double>(k), begin + step * static_cast<double>(k + 1)};
+    }
 };
 
 } // namespace vdb_nns::cli

@@ -23,18 +23,22 @@ constexpr double kCandidatesPerRow = 6.5; // 27 cells of the radius hold (27 / (
 // Reports how many queries are done, from many threads.
 class QueryCounter {
 public:
-    QueryCounter(std::uint64_t total, Progress* progress) : mTotal(total), mProgress(progress) {}
+    // `share` is what they are of all that is to be done.
+    QueryCounter(std::uint64_t total, Progress* progress, double share)
+        : mTotal(static_cast<double>(total) / share), mProgress(progress)
+    {
+    }
 
     void done(std::uint64_t queries)
     {
         if (!mProgress) return;
         const std::uint64_t all = mDone += queries;
-        mProgress->update("truth", static_cast<double>(all) / static_cast<double>(mTotal));
+        mProgress->update("truth", static_cast<double>(all) / mTotal);
         if (mProgress->cancelled()) throw Cancelled("bench: cancelled");
     }
 
 private:
-    std::uint64_t mTotal;
+    double mTotal;
     Progress* mProgress;
     std::atomic<std::uint64_t> mDone{0};
 };
@@ -82,8 +86,9 @@ std::vector<std::uint32_t> neighborsOf(std::uint32_t query, const PointCloud& cl
     return found;
 }
 
+// `share`: see QueryCounter.
 Truth sampleTruth(const PointCloud& cloud, const PairJudge& judge, std::uint64_t sample,
-                  const TruthOptions& options)
+                  const TruthOptions& options, double share)
 {
     Truth truth;
     const std::uint64_t size = cloud.x.size();
@@ -96,7 +101,7 @@ Truth sampleTruth(const PointCloud& cloud, const PairJudge& judge, std::uint64_t
             static_cast<std::uint32_t>(low + mix64(mix64(options.seed) + k) % (high - low)));
     }
     Rows rows(sample);
-    QueryCounter counter(sample, options.progress);
+    QueryCounter counter(sample, options.progress, share);
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, sample, 1), [&](const auto& range) {
         for (std::size_t k = range.begin(); k < range.end(); ++k) {
             rows[k] = neighborsOf(truth.queries[k], cloud, judge);
@@ -119,7 +124,7 @@ std::optional<Truth> completeTruth(const PointCloud& cloud, const PairJudge& jud
     for (std::size_t i = 0; i < size; ++i) truth.queries[i] = static_cast<std::uint32_t>(i);
     truth.begin.assign(size + 1, 0);
     const CellHash cells(cloud);
-    QueryCounter counter(2 * size, options.progress);
+    QueryCounter counter(2 * size, options.progress, 1);
     const auto forRows = [&](auto&& onRow) {
         tbb::parallel_for(tbb::blocked_range<std::size_t>(0, cells.size(), 64), [&](const auto& range) {
             CellRows rows(cloud, cells, judge);
@@ -143,7 +148,7 @@ bool allAreFew(const PointCloud& cloud, const PairJudge& judge, const TruthOptio
 {
     const auto size = static_cast<double>(cloud.x.size());
     if (cloud.x.size() <= kSample) return true;
-    const Truth pilot = sampleTruth(cloud, judge, kPilot, options);
+    const Truth pilot = sampleTruth(cloud, judge, kPilot, options, 0.02);
     const double pairs = static_cast<double>(pilot.pairs()) / static_cast<double>(kPilot) * size;
     return kCandidatesPerRow * (pairs + size) <= kMostTests &&
            4 * pairs + 8 * size <= 0.25 * static_cast<double>(machineMemoryBytes());
@@ -159,7 +164,7 @@ Truth findTruth(const ParticleView& view, double radius, const TruthOptions& opt
     std::optional<Truth> complete;
     if (!options.sample && allAreFew(cloud, judge, options)) complete = completeTruth(cloud, judge, options);
     Truth truth = complete ? std::move(*complete)
-                           : sampleTruth(cloud, judge, options.sample.value_or(kSample), options);
+                           : sampleTruth(cloud, judge, options.sample.value_or(kSample), options, 1);
     setDensities(view, radius, truth);
     return truth;
 }

@@ -5,6 +5,7 @@
 #include "vdb_nns/error.h"
 
 #include <cmath>
+#include <iterator>
 #include <limits>
 
 namespace vdb_nns::cli {
@@ -62,8 +63,10 @@ std::vector<BudgetResult> studyBudgets(const BenchPoints& points, const BudgetSt
 {
     const DeviceLimits& device = options.setup.devices.request.devices.front();
     std::vector<BudgetResult> results;
+    const std::size_t steps = 2 * (1 + std::size(kShares));
+    std::size_t step = 0;
     for (const Encoding encoding : {Encoding::kIndex, Encoding::kMask}) {
-        const std::uint64_t needed = bytesNeeded(points, options, encoding, span);
+        const std::uint64_t needed = bytesNeeded(points, options, encoding, span.part(step++, steps));
         for (const double share : kShares) {
             BudgetResult result;
             result.scene = points.scene;
@@ -73,7 +76,7 @@ std::vector<BudgetResult> studyBudgets(const BenchPoints& points, const BudgetSt
             result.share = share;
             result.points = points.view.size();
             result.budgetBytes = static_cast<std::uint64_t>(std::ceil(share * static_cast<double>(needed)));
-            run(points, options, span, result);
+            run(points, options, span.part(step++, steps), result);
             results.push_back(result);
         }
     }

@@ -172,10 +172,11 @@ std::vector<BenchResult> studyMethods(const BenchPoints& points, const Truth& tr
 {
     checkThreads(options);
     const std::size_t count = options.methods.size();
-    const double cold = span.begin + 0.2 * (span.end - span.begin);
+    const ProgressSpan coldSpan = span.part(0, 5);
+    const double cold = coldSpan.end;
     std::vector<MethodTimes> times(count);
     for (std::size_t m = 0; m < count; ++m)
-        measureCold(options.methods[m], points, options, {span.printer, span.begin, cold}, times[m]);
+        measureCold(options.methods[m], points, options, coldSpan.part(m, count), times[m]);
     assignTurns(times);
 
     std::vector<BenchResult> results;

@@ -125,10 +125,12 @@ Compared compare(const std::unique_ptr<Method>& with, const std::unique_ptr<Meth
                  const BenchPoints& points, const ModelStudyOptions& options, const ProgressSpan& span)
 {
     std::vector<double> seconds[2];
+    const std::size_t steps = 2 * (options.repeat + 1);
     for (std::uint64_t run = 0; run <= options.repeat; ++run) {
         for (const std::size_t m : {0, 1}) {
             Method& method = m == 0 ? *with : *without;
-            const double total = method.run(points.view, options.radius, span).totalSeconds();
+            const double total =
+                method.run(points.view, options.radius, span.part(2 * run + m, steps)).totalSeconds();
             method.discard();
             if (run > 0) seconds[m].push_back(total);
         }
@@ -147,9 +149,11 @@ std::unique_ptr<Method> withCells(MethodSetup setup, double cellSize)
 ModelStudy studyModel(const BenchPoints& points, const ModelStudyOptions& options, const ProgressSpan& span)
 {
     ModelStudy study;
+    constexpr std::size_t kSteps = 4; // two plans, two comparisons
     for (const Encoding encoding : {Encoding::kIndex, Encoding::kMask}) {
         study.shares.push_back(measureShare(points, options, encoding, nullptr));
-        const DeviceRequest request = outOfCore(points, options, encoding, span);
+        const DeviceRequest request =
+            outOfCore(points, options, encoding, span.part(study.shares.size() / 2, kSteps));
         study.shares.push_back(measureShare(points, options, encoding, &request));
     }
     const ModelShare &index = study.shares[0], &planned = study.shares[1], &mask = study.shares[2];
@@ -166,10 +170,10 @@ ModelStudy studyModel(const BenchPoints& points, const ModelStudyOptions& option
         static_cast<double>(mask.listBytes));
     const Compared tests =
         compare(makeMethod(parseMethod("world-double"), options.setup),
-                makeMethod(parseMethod("certified"), options.setup), points, options, span);
+                makeMethod(parseMethod("certified"), options.setup), points, options, span.part(2, kSteps));
     add("double and exact tests only near the radius", "seconds", tests.with, tests.without);
-    const Compared cells =
-        compare(withCells(options.setup, 1), withCells(options.setup, 0), points, options, span);
+    const Compared cells = compare(withCells(options.setup, 1), withCells(options.setup, 0), points, options,
+                                   span.part(3, kSteps));
     add("cells as wide as the density asks", "seconds", cells.with, cells.without);
     return study;
 }

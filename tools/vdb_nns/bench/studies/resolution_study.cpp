@@ -5,6 +5,8 @@
 #include "numbers.h"
 #include "vdb_nns/search.h"
 
+#include <iterator>
+
 namespace vdb_nns::cli {
 namespace {
 
@@ -50,22 +52,25 @@ std::vector<ResolutionResult> studyResolution(const BenchPoints& points,
     std::vector<ResolutionResult> results;
     SearchEngine engine; // one for all, so that all work in the same memory, on huge pages or not
     constexpr Encoding kEncodings[] = {Encoding::kIndex, Encoding::kMask, Encoding::kNone};
-    for (std::size_t e = 0; e < 3; ++e) {
-        const double share = (span.end - span.begin) / 3, from = span.begin + share * static_cast<double>(e);
-        span.printer.begin("resolution", from, from + share);
+    const std::size_t steps = std::size(kEncodings) * (options.repeat + 1) * std::size(kSizes);
+    std::size_t step = 0;
+    for (const Encoding encoding : kEncodings) {
         std::vector<ResolutionResult> sizes;
         for (const double size : kSizes) {
             ResolutionResult result;
             result.scene = points.scene;
-            result.encoding = kEncodings[e];
+            result.encoding = encoding;
             result.isAuto = size == 0;
             result.cellSize = size;
             sizes.push_back(result);
         }
         std::vector<Times> times(sizes.size());
         for (std::uint64_t run = 0; run <= options.repeat; ++run) {
-            for (const std::size_t k : orderOfRun(sizes.size(), run))
+            for (const std::size_t k : orderOfRun(sizes.size(), run)) {
+                const ProgressSpan part = span.part(step++, steps);
+                part.printer.begin("resolution", part.begin, part.end);
                 runOnce(points, options, run > 0, engine, times[k], sizes[k]);
+            }
         }
         for (std::size_t k = 0; k < sizes.size(); ++k) {
             sizes[k].gridSeconds = median(times[k].grid);

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <numeric>
 #include <utility>
 
@@ -90,8 +91,9 @@ std::vector<float> clustered(std::vector<float> positions, double share, double 
 
 class Study {
 public:
-    Study(MethodStudyOptions options, const TruthOptions& truth, const ProgressSpan& span)
-        : mOptions(std::move(options)), mTruth(truth), mSpan(span)
+    /// @param steps calls of run() and runThreads(), for progress
+    Study(MethodStudyOptions options, const TruthOptions& truth, const ProgressSpan& span, std::size_t steps)
+        : mOptions(std::move(options)), mTruth(truth), mSpan(span), mSteps(steps)
     {
     }
 
@@ -99,9 +101,9 @@ public:
     {
         MethodStudyOptions options = mOptions;
         options.radius = radius;
-        mSpan.printer.begin(vary, mSpan.begin, mSpan.end);
-        const Truth truth = findTruth(points.view, radius, mTruth);
-        for (BenchResult& result : studyMethods(points, truth, options, mSpan))
+        const ProgressSpan span = mSpan.part(mStep++, mSteps);
+        const Truth truth = truthOf(points, radius, span);
+        for (BenchResult& result : studyMethods(points, truth, options, afterTruth(span)))
             results.push_back({vary, value, std::move(result)});
     }
 
@@ -110,12 +112,13 @@ public:
         const std::vector<MethodSpec> all = mOptions.methods;
         const int most = mOptions.threads;
         mOptions.radius = radius;
-        const Truth truth = findTruth(points.view, radius, mTruth);
+        const ProgressSpan span = mSpan.part(mStep++, mSteps);
+        const Truth truth = truthOf(points, radius, span);
         for (int threads = 1; threads <= most;
              threads = threads < most ? std::min(2 * threads, most) : most + 1) {
             MethodStudyOptions options = mOptions;
             for (MethodSpec& spec : options.methods) spec.threads = threads;
-            for (BenchResult& result : studyMethods(points, truth, options, mSpan))
+            for (BenchResult& result : studyMethods(points, truth, options, afterTruth(span)))
                 results.push_back({"threads", static_cast<double>(threads), std::move(result)});
         }
     }
@@ -123,9 +126,21 @@ public:
     std::vector<ScalingResult> results;
 
 private:
+    Truth truthOf(const BenchPoints& points, double radius, const ProgressSpan& span)
+    {
+        const ProgressSpan first = span.part(0, 10);
+        first.printer.begin("truth", first.begin, first.end);
+        return findTruth(points.view, radius, mTruth);
+    }
+    static ProgressSpan afterTruth(const ProgressSpan& span)
+    {
+        return {span.printer, span.part(0, 10).end, span.end};
+    }
+
     MethodStudyOptions mOptions;
     TruthOptions mTruth;
     ProgressSpan mSpan;
+    std::size_t mSteps, mStep = 0;
 };
 
 } // namespace
@@ -133,12 +148,15 @@ private:
 std::vector<ScalingResult> studyScaling(const BenchPoints& points, const MethodStudyOptions& options,
                                         const TruthOptions& truth, const ProgressSpan& span)
 {
-    Study study(options, truth, span);
+    constexpr double kShares[] = {0.125, 0.25, 0.5}, kRadii[] = {0.5, 0.75, 1.0, 1.25, 1.5},
+                     kMoved[] = {0.0, 0.3, 0.6, 0.9};
+    constexpr std::size_t kOfWhole = 2; // all points, threads
+    Study study(options, truth, span, std::size(kShares) + kOfWhole + std::size(kRadii) + std::size(kMoved));
     const double radius = options.radius;
     const std::vector<float> positions = positionsOf(points);
     if (positions.empty()) return {};
     const BenchPoints whole = withPositions(points, positions);
-    for (const double share : {0.125, 0.25, 0.5}) {
+    for (const double share : kShares) {
         std::vector<float> part = lowerPart(positions, share);
         if (part.empty()) continue;
         const auto count = static_cast<double>(part.size() / 3);
@@ -146,9 +164,8 @@ std::vector<ScalingResult> studyScaling(const BenchPoints& points, const MethodS
     }
     study.run("points", static_cast<double>(whole.view.size()), whole, radius);
     study.runThreads(whole, radius);
-    for (const double factor : {0.5, 0.75, 1.0, 1.25, 1.5})
-        study.run("radius", factor * radius, whole, factor * radius);
-    for (const double share : {0.0, 0.3, 0.6, 0.9})
+    for (const double factor : kRadii) study.run("radius", factor * radius, whole, factor * radius);
+    for (const double share : kMoved)
         study.run("clustering", share, withPositions(points, clustered(positions, share, radius)), radius);
     return std::move(study.results);
 }
