@@ -66,7 +66,9 @@ std::vector<BudgetResult> studyBudgets(const BenchPoints& points, const BudgetSt
     const std::size_t steps = 2 * (1 + std::size(kShares));
     std::size_t step = 0;
     for (const Encoding encoding : {Encoding::kIndex, Encoding::kMask}) {
-        const std::uint64_t needed = bytesNeeded(points, options, encoding, span.part(step++, steps));
+        const ProgressSpan plan = span.part(step++, steps);
+        plan.printer.begin("budgets", plan.begin, plan.end);
+        const std::uint64_t needed = bytesNeeded(points, options, encoding, plan);
         for (const double share : kShares) {
             BudgetResult result;
             result.scene = points.scene;

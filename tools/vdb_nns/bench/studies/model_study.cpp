@@ -149,14 +149,23 @@ std::unique_ptr<Method> withCells(MethodSetup setup, double cellSize)
 ModelStudy studyModel(const BenchPoints& points, const ModelStudyOptions& options, const ProgressSpan& span)
 {
     ModelStudy study;
-    constexpr std::size_t kSteps = 4; // two plans, two comparisons
+    constexpr std::size_t kSteps =
+        9; // of each encoding a run in core, a plan and a run of it; counts; two comparisons
+    std::size_t step = 0;
+    const auto next = [&] {
+        const ProgressSpan part = span.part(step++, kSteps);
+        part.printer.begin("model", part.begin, part.end);
+        return part;
+    };
     for (const Encoding encoding : {Encoding::kIndex, Encoding::kMask}) {
+        next();
         study.shares.push_back(measureShare(points, options, encoding, nullptr));
-        const DeviceRequest request =
-            outOfCore(points, options, encoding, span.part(study.shares.size() / 2, kSteps));
+        const DeviceRequest request = outOfCore(points, options, encoding, next());
+        next();
         study.shares.push_back(measureShare(points, options, encoding, &request));
     }
     const ModelShare &index = study.shares[0], &planned = study.shares[1], &mask = study.shares[2];
+    next();
     const ModelShare count = measureShare(points, options, Encoding::kNone, nullptr);
     const auto add = [&](const char* part, const char* unit, double with, double without) {
         study.savings.push_back({points.scene, part, unit, with, without});
@@ -170,10 +179,10 @@ ModelStudy studyModel(const BenchPoints& points, const ModelStudyOptions& option
         static_cast<double>(mask.listBytes));
     const Compared tests =
         compare(makeMethod(parseMethod("world-double"), options.setup),
-                makeMethod(parseMethod("certified"), options.setup), points, options, span.part(2, kSteps));
+                makeMethod(parseMethod("certified"), options.setup), points, options, next());
     add("double and exact tests only near the radius", "seconds", tests.with, tests.without);
-    const Compared cells = compare(withCells(options.setup, 1), withCells(options.setup, 0), points, options,
-                                   span.part(3, kSteps));
+    const Compared cells =
+        compare(withCells(options.setup, 1), withCells(options.setup, 0), points, options, next());
     add("cells as wide as the density asks", "seconds", cells.with, cells.without);
     return study;
 }
