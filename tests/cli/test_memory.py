@@ -153,7 +153,7 @@ class TooLittle(CliCase):
 
 class WideCells(CliCase):
     def test_masks_that_do_not_fit_are_made_in_cells_of_the_radius(self):
-        path = self.scene("spray", 1000000)
+        path = self.scene("spray", 2000000)
         search = ("search", path, "--encoding", "mask", "--checksum", "-T", "2", "--device", "cpu", "--json", self.path("r.json"), "-f")
         free = self.report("search", path, "--encoding", "mask", "--checksum", "-T", "2")
         self.assertGreater(free["grid"]["cell_size"], 2 * free["radius"]["world"])
@@ -161,14 +161,14 @@ class WideCells(CliCase):
         def code(size, *args):
             return cli_case.run(*search, *args, preexec_fn=limit_address_space(size * MB)).code
 
-        size, enough = 0, 2000  # where the masks of wide cells do not fit, and where they do
+        size, enough = 0, 3000  # where the masks of wide cells do not fit, and where they do
         while enough - size > 10:
             middle = (size + enough) // 2
             if code(middle, "--cell-size", "3") == 0:
                 enough = middle
             else:
                 size = middle
-        size -= 15 # what a process maps is not the same each time; between the two kinds of masks lie some 40 MB
+        size -= 30 # what a process maps is not the same each time; between the two kinds of masks lie some 80 MB
         self.assertEqual((code(size, "--cell-size", "3"), code(size, "--cell-size", "1")), (4, 0))
         done = self.succeeds(*search, preexec_fn=limit_address_space(size * MB))
         self.assertRegex(done.err, "cells of the radius are taken instead")
