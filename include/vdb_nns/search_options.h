@@ -10,7 +10,7 @@ namespace vdb_nns {
 /// How neighbor lists are held in memory.
 enum class Encoding {
     kIndex, ///< 4 bytes for each neighbor: its number. Fast to read.
-    kMask, ///< one bit for each candidate of the cells in reach: 0.5 to 1 byte a neighbor in fluids, decoded when read.
+    kMask, ///< one bit for each candidate of the cells in reach, decoded when read: in fluids 0.5 to 1 byte a neighbor.
     kNone ///< counts only.
 };
 
@@ -37,7 +37,7 @@ struct SearchOptions {
     double cellSize = 0;
 
     /// Whether a size that is chosen may be above 1, which is faster where few cells hold many particles and makes masks
-    /// larger: on sprays three times, and six times where there are but few neighbors. Not where hostMemoryBytes is set.
+    /// larger: three times on sprays, up to four where there are few neighbors. Not where hostMemoryBytes is set.
     bool wideCells = true;
 
     NonFinite nonfinite = NonFinite::kSkip;

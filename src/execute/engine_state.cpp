@@ -45,7 +45,7 @@ CapacityError listsDoNotFit(Encoding encoding, bool counted, std::uint64_t neede
     return CapacityError(
         std::string(encoding == Encoding::kIndex ? "index lists" : "mask lists") + " need " +
             (counted ? "" : "at least ") + gigabytes(needed) + ", allowed are " + gigabytes(allowed) + ": " +
-            (encoding == Encoding::kIndex ? "use encoding mask, " : "use a cell size of 1 or less, ") +
+            (encoding == Encoding::kIndex ? "use encoding mask, " : "use a smaller cell size, ") +
             "counts alone (encoding none), a smaller radius, or more host memory",
         needed, allowed);
 }

@@ -2,8 +2,8 @@
 // half of it; where few cells hold more than a handful of particles, finding and gathering cells and leaves costs more than the
 // tests that wider cells add.
 //
-//   1. A glance at a thousand particles, or at every thousandth: how many leaves they are in. Where those are few for all particles, the scene is
-//      dense, and nothing more is looked at.
+//   1. A glance at a thousand particles, or at every thousandth: how many leaves they are in. Where those are few for all
+//      particles, the scene is dense, and nothing more is looked at.
 //   2. Else a pilot: one pass over all particles, which keeps those of some cubes of 6 radii, drawn by a hash of their
 //      coordinates, and counts in these what each size would cost.
 #include "execute/kernels.h"
