@@ -10,6 +10,7 @@
 #include "grid/cell_map.h"
 #include "grid/leaf_table.h"
 #include "grid/placement.h"
+#include "grid/round_down-inl.h"
 #include "particles/particle_source.h"
 
 #include <tbb/parallel_for.h>
@@ -124,13 +125,12 @@ struct Kept {
 // Keeps a particle, unless its cube is out of range.
 void keep(const CubeMap& map, double x, double y, double z, std::vector<Kept>& kept)
 {
-    constexpr double kRound = 6755399441055744.0; // as in drawLots(): at a face both mean the same cube
     Kept particle{};
     unsigned place = 0;
     for (int k = 0; k < 3; ++k) {
         const double t = map.rows[k][0] * x + map.rows[k][1] * y + map.rows[k][2] * z;
         if (!(std::fabs(t) < CellMap::kLimit)) return;
-        const double cube = (t - 0.5 + kRound) - kRound;
+        const double cube = roundDown(t); // as in drawLots(): at a face both mean the same cube
         const int unit = static_cast<int>((t - cube) * kUnits);
         particle.cube[k] = static_cast<std::int32_t>(cube);
         place = place << 4 | static_cast<unsigned>(std::clamp(unit, 0, kUnits - 1));
