@@ -1,7 +1,10 @@
-# `cpack` makes vdb_nns-VERSION-linux-x86_64.tar.gz: the program with all libraries that it needs but the C library, for
-# machines that have none of them. All of it is the component `portable`, which `cmake --install` leaves out unless asked.
+# `cpack` makes two packages.
+# vdb_nns-VERSION-linux-x86_64.tar.gz: the program with all libraries that it needs but the C library, for machines that
+# have none of them. All of it is the component `portable`, which `cmake --install` leaves out unless asked.
 #   bin/vdb_nns   bin/gpu_bench.sh   lib/vdb_nns/*.so*   LICENSE README.md INSTALL.txt   share/doc/vdb_nns/licenses/*
-# What else goes into the package: install(.. COMPONENT portable EXCLUDE_FROM_ALL), to bin/ if it is to be run.
+# What else goes into the archive: install(.. COMPONENT portable EXCLUDE_FROM_ALL), to bin/ if it is to be run.
+# vdb-nns_VERSION_amd64.deb: what `cmake --install` installs, under /usr, for the release of Debian that it was built on.
+# What it depends on is read from the program by dpkg-shlibdeps; without that tool, or with a shared vdb_nns, there is no .deb.
 
 # The same objects, linked once more, as the program of `cmake --install` must go on to use the libraries of the system.
 # DT_RPATH rather than today's DT_RUNPATH: it serves the libraries of libraries too, which so need no rpath each (CMake
@@ -44,13 +47,40 @@ configure_file("${PROJECT_SOURCE_DIR}/cmake/package_install.txt.in" "${PROJECT_B
 install(FILES "${PROJECT_SOURCE_DIR}/LICENSE" "${PROJECT_SOURCE_DIR}/README.md"
     "${PROJECT_BINARY_DIR}/portable/INSTALL.txt" DESTINATION . ${portable})
 
+find_program(VDB_NNS_SHLIBDEPS dpkg-shlibdeps)
+find_program(VDB_NNS_FILE file) # which CPack tells programs by
+mark_as_advanced(VDB_NNS_SHLIBDEPS VDB_NNS_FILE)
 set(CPACK_GENERATOR TGZ)
+if(BUILD_SHARED_LIBS)
+    message(STATUS "cpack: no .deb, as vdb_nns is a shared library here")
+elseif(VDB_NNS_SHLIBDEPS AND VDB_NNS_FILE)
+    list(APPEND CPACK_GENERATOR DEB)
+else()
+    message(STATUS "cpack: no .deb without dpkg-dev and file (tools/setup.sh --package)")
+endif()
 set(CPACK_SOURCE_GENERATOR TGZ)
 set(CPACK_SOURCE_IGNORE_FILES "${PROJECT_SOURCE_DIR}/build" "/\\\\.git(/|$)" "/__pycache__/")
 set(CPACK_PACKAGE_FILE_NAME "vdb_nns-${PROJECT_VERSION}-linux-x86_64")
 set(CPACK_PACKAGE_CHECKSUM SHA256)
 set(CPACK_STRIP_FILES ON)
+# Which component a generator takes, and so which files, can only be said when it is known.
+set(CPACK_PROJECT_CONFIG_FILE "${PROJECT_SOURCE_DIR}/cmake/package_generator.cmake")
 set(CPACK_INSTALL_CMAKE_PROJECTS "${PROJECT_BINARY_DIR};${PROJECT_NAME};portable;/")
 set(CPACK_INSTALL_DEFAULT_DIRECTORY_PERMISSIONS # whatever the umask
     OWNER_READ OWNER_WRITE OWNER_EXECUTE GROUP_READ GROUP_EXECUTE WORLD_READ WORLD_EXECUTE)
+
+# The one file that a .deb has beside the plain install: where Debian looks for the licence.
+install(FILES "${PROJECT_SOURCE_DIR}/LICENSE" DESTINATION "${CMAKE_INSTALL_DATADIR}/doc/vdb-nns" RENAME copyright
+    COMPONENT deb EXCLUDE_FROM_ALL)
+set(CPACK_PACKAGE_CONTACT "vdb_nns maintainers <maintainers@vdb-nns.invalid>")
+set(CPACK_DEBIAN_PACKAGE_NAME vdb-nns)
+set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
+set(CPACK_DEBIAN_PACKAGE_SECTION libdevel)
+set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
+# What a program that links the static library links too, and finds by our CMake files.
+set(CPACK_DEBIAN_PACKAGE_DEPENDS "libopenvdb-dev, libtbb-dev, zlib1g-dev")
+set(CPACK_DEBIAN_PACKAGE_SUGGESTS "python3-matplotlib")
+set(CPACK_DEBIAN_PACKAGE_DESCRIPTION "exact fixed-radius neighbor search on sparse OpenVDB volumes
+ For every particle of a point file or array, vdb_nns finds all others within a radius, exactly, out of core where
+ memory is short. This package has the program, the static library, its headers and CMake files.")
 include(CPack)

@@ -1,19 +1,25 @@
 #!/usr/bin/env bash
-# Installs what is missing to build vdb_nns: Debian 12, Debian 13 or Ubuntu 24.04, as root or with sudo.
-#   tools/setup.sh           what the build needs
-#   tools/setup.sh --tests   and what the test suite needs
+# Installs what is missing to build vdb_nns: Debian 12 or 13 (Ubuntu 24.04 names its packages the same), as root or with sudo.
+#   tools/setup.sh              what the build needs
+#   tools/setup.sh --tests      and what the test suite needs
+#   tools/setup.sh --package    and what cpack needs to make a .deb
+#   tools/setup.sh --roots      and what tools/fresh_machines.sh needs
 # Does nothing, in a moment, when all is there. A CUDA toolkit is used where there is one and never installed.
 set -euo pipefail
 
 packages=(g++ cmake ninja-build git
           libopenvdb-dev libtbb-dev libboost-dev libeigen3-dev zlib1g-dev
-          libcli11-dev nlohmann-json3-dev libgtest-dev libnanoflann-dev)
-if [ "${1:-}" = --tests ]; then
-    packages+=(clang clang-format libboost-context-dev python3 python3-numpy python3-scipy python3-matplotlib)
-elif [ $# -gt 0 ]; then
-    echo "usage: tools/setup.sh [--tests]" >&2
-    exit 2
-fi
+          libcli11-dev nlohmann-json3-dev libnanoflann-dev)
+for flag in "$@"; do
+    case $flag in
+    --tests)
+        packages+=(clang clang-format libgtest-dev libboost-context-dev
+                   python3 python3-numpy python3-scipy python3-matplotlib dpkg-dev file) ;;
+    --package) packages+=(dpkg-dev file) ;;
+    --roots) packages+=(debootstrap) ;;
+    *) echo "usage: tools/setup.sh [--tests] [--package] [--roots]" >&2; exit 2 ;;
+    esac
+done
 
 if ! command -v apt-get >/dev/null || ! command -v dpkg-query >/dev/null; then
     echo "setup: no apt-get here; if the build misses something, install what these Debian packages hold:" >&2

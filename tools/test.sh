@@ -2,20 +2,40 @@
 # The whole suite: installs what is missing, builds everything, and runs ctest. Builds into build/ (Release, g++),
 # build/asan (a selection under AddressSanitizer and UBSan) and build/clang (clang++, shared library).
 # A second run builds nothing twice. The last lines are ctest's own.
+#   tools/test.sh            all of it: half an hour on two cores
+#   tools/test.sh --quick    every step of the engine, every format and the program once, with g++ alone: some minutes
 set -euo pipefail
 . "$(dirname "${BASH_SOURCE[0]}")/build/steps.sh"
 started=$SECONDS
 took() { echo "   ($((SECONDS - started)) s since the start)"; }
 
+quick=0
+case "${1:-} $#" in
+' 0') ;;
+'--quick 1') quick=1 ;;
+*) echo "usage: tools/test.sh [--quick]" >&2; exit 2 ;;
+esac
+
 say "set-up"
 tools/setup.sh --tests
 
+release=(-DCMAKE_BUILD_TYPE=Release -DVDB_NNS_BUILD_TESTS=ON -DVDB_NNS_BUILD_SAMPLES=ON)
+if [ $quick -eq 1 ]; then
+    say "build into build/: Release, g++; the quick selection"
+    configure build "${release[@]}"
+    cmake --build build --target vdb_nns_quick_selection
+    took
+    say "the quick selection of the suite"
+    ctest --test-dir build -L quick --output-on-failure --no-tests=error
+    exit
+fi
+
 say "build into build/: Release, g++"
-configure build -DCMAKE_BUILD_TYPE=Release -DVDB_NNS_BUILD_TESTS=ON -DVDB_NNS_BUILD_SAMPLES=ON
+configure build "${release[@]}"
 cmake --build build
 took
 
-say "build into build/clang: clang++, warnings are errors, shared library"
+say "build into build/clang: clang++, shared library"
 configure build/clang -C tools/build/clang.cmake
 cmake --build build/clang
 ctest --test-dir build/clang -L samples --output-on-failure --no-tests=error

@@ -9,7 +9,7 @@ fail() { echo "FAILED: $*" >&2; exit 1; }
 
 rm -rf "$work"
 mkdir -p "$work"
-"$cpack" --config "$build/CPackConfig.cmake" -C "$config" -B "$work/cpack" >"$work/cpack.log" 2>&1 ||
+"$cpack" -G TGZ --config "$build/CPackConfig.cmake" -C "$config" -B "$work/cpack" >"$work/cpack.log" 2>&1 ||
     { cat "$work/cpack.log"; fail "cpack"; }
 grep -i -A3 warning "$work/cpack.log" || true
 archives=("$work"/cpack/*.tar.gz)

@@ -21,6 +21,17 @@ namespace {
 // best of them, which is no other one everywhere.
 constexpr std::size_t kLeafSize = 20;
 
+// How nanoflann hands out hits and takes its parameters; version 1.5 gave both a new type.
+#if NANOFLANN_VERSION >= 0x150
+template <typename Real>
+using Hit = nanoflann::ResultItem<std::uint32_t, Real>;
+const nanoflann::SearchParameters kExactUnsorted(0, false);
+#else
+template <typename Real>
+using Hit = std::pair<std::uint32_t, Real>;
+const nanoflann::SearchParams kExactUnsorted(32, 0, false); // the first one does nothing
+#endif
+
 // What nanoflann asks of a set of points; the names are its.
 template <typename Real>
 struct TreePoints {
@@ -45,7 +56,7 @@ private:
         explicit Worker(RowPool& pool) : rows(pool) {}
 
         RowWriter rows;
-        std::vector<std::pair<std::uint32_t, Real>> hits;
+        std::vector<Hit<Real>> hits;
     };
 
     void search(const ParticleView& view, double radius, MethodRun& result) override
@@ -64,8 +75,7 @@ private:
             Worker& worker = mWorkers.local();
             for (std::size_t i = range.begin(); i < range.end(); ++i) {
                 worker.hits.clear();
-                tree.radiusSearch(points.xyz.data() + 3 * i, radiusSquared, worker.hits,
-                                  nanoflann::SearchParams(32, 0, false));
+                tree.radiusSearch(points.xyz.data() + 3 * i, radiusSquared, worker.hits, kExactUnsorted);
                 writeRow(static_cast<std::uint32_t>(i), worker);
             }
         });
