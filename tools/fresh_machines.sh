@@ -76,8 +76,9 @@ for release in "${releases[@]}"; do
     say "$release: a bare root file system"
     bare "$release"
     root=$(copy_of "$release" built)
-    git clone -q --no-hardlinks . "$root/tmp/vdb_nns.git"
-    within "$root" $user "git clone -q /tmp/vdb_nns.git vdb_nns"
+    home=$(chroot "$root" sh -c "echo ~$user")
+    git clone -q --no-hardlinks . "$root$home/vdb_nns"
+    chroot "$root" chown -R $user: "$home/vdb_nns"
 
     say "$release, as $user: ./tools/demo.sh"
     within "$root" $user "cd vdb_nns; ./tools/demo.sh" 2>&1 | tee "$folder/$release-demo.log"
@@ -93,7 +94,7 @@ for release in "${releases[@]}"; do
     within "$root" $user "cd vdb_nns; tools/setup.sh --package; cmake build >/dev/null; cmake --build build --target vdb_nns_cli
         cpack -G DEB --config build/CPackConfig.cmake -B build/packages"
     machine=$(copy_of "$release" installed)
-    cp "$root"/*/vdb_nns/build/packages/*.deb "$root"/home/*/vdb_nns/build/packages/*.deb "$machine/tmp/" 2>/dev/null || true
+    cp "$root$home"/vdb_nns/build/packages/*.deb "$machine/tmp/"
     cp -a samples "$machine/tmp/samples"
     within "$machine" root "apt-get -q update; apt-get -q install -y --no-install-recommends /tmp/*.deb"
     within "$machine" user "vdb_nns scene dam_break -n 20000 -o dam.vdb; vdb_nns search dam.vdb -o dam.npz --checksum"
