@@ -1,10 +1,17 @@
-# Finds OpenVDB by its header and library. OpenVDB installs no package configuration, and the find module that
-# distributions ship beside it insists on components that they do not have; this one needs little but the two files.
-# It is installed with this project, for consumers.
+# Finds OpenVDB: by its own package configuration where there is one (from version 14 on), else by its header and library, as
+# the find module that distributions ship beside it insists on components that they do not have. It is installed with this
+# project, for consumers.
 #
 # Target:    OpenVDB::openvdb
 # Variables: OpenVDB_FOUND, OpenVDB_VERSION
 # Hint:      OpenVDB_ROOT
+
+find_package(OpenVDB CONFIG QUIET)
+if(TARGET OpenVDB::openvdb)
+    include(FindPackageHandleStandardArgs)
+    find_package_handle_standard_args(OpenVDB CONFIG_MODE)
+    return()
+endif()
 
 find_path(OpenVDB_INCLUDE_DIR openvdb/version.h)
 find_library(OpenVDB_LIBRARY openvdb)
