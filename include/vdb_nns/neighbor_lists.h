@@ -1,6 +1,7 @@
 // Neighbor lists in memory: two encodings, one way to read them.
 #pragma once
 
+#include "vdb_nns/progress.h"
 #include "vdb_nns/search_options.h"
 #include "vdb_nns/types.h"
 
@@ -31,7 +32,9 @@ struct ListStatistics {
 
 /// The result of a search: for every particle its neighbors. Immutable; a cheap handle whose copies share the data,
 /// which stays valid for as long as a handle lives, whatever the engine that made it does next. Safe to read from
-/// several threads.
+/// several threads, and from inside of parallel work (search.h).
+///
+/// A particle's number i is below size(); it is not checked.
 ///
 /// A list holds particle numbers of the ParticleView in cell-visiting order: by the neighbor's cell, (x, y, z)
 /// lexicographic, and by number inside a cell; the same for both encodings. The particle itself is not in its list;
@@ -52,7 +55,8 @@ public:
     /// Counts of all particles, by number.
     std::vector<std::uint32_t> counts() const;
 
-    /// The list of particle i where it is stored as numbers.
+    /// The list of particle i where it is stored as numbers: a view of the lists' own memory, valid for as long as a
+    /// handle of these lists lives.
     /// @throws InvalidInput unless encoding() is kIndex
     Span<const std::uint32_t> indices(std::size_t i) const;
 
@@ -78,18 +82,20 @@ public:
     using RowVisitor = std::function<void(std::uint32_t query, Span<const std::uint32_t> neighbors)>;
 
     /// Hands every particle of the grid its list, in storage order split over the caller's TBB arena: `visit` is called
-    /// from several threads at once, once for each finite particle. The fastest way to read all lists.
-    /// @throws InvalidInput with encoding kNone
+    /// from several threads at once, once for each finite particle; the numbers are valid during the call. The fastest way
+    /// to read all lists.
+    /// @throws InvalidInput with encoding kNone, and what `visit` throws
     void visitRows(const RowVisitor& visit) const;
 
-    /// All lists sorted ascending. Cost: the copy and a sort of every row.
-    /// @throws InvalidInput with encoding kNone
-    Csr toCsr() const;
+    /// All lists sorted ascending. Cost: the copy and a sort of every row. Memory: 4 bytes a pair and 8 a particle beside
+    /// these lists, and 4 more a particle while it is made; no option bounds it.
+    /// @throws InvalidInput with encoding kNone; Cancelled; std::bad_alloc
+    Csr toCsr(Progress* progress = nullptr) const;
 
     /// Sum over ordered pairs (i, j) of mix64(i * 2^32 + j) modulo 2^64, mix64 the finaliser of SplitMix64
     /// (Steele, Lea, Flood 2014): equal for equal sets of pairs, whatever the order.
-    /// @throws InvalidInput with encoding kNone
-    std::uint64_t checksum() const;
+    /// @throws InvalidInput with encoding kNone; Cancelled
+    std::uint64_t checksum(Progress* progress = nullptr) const;
 
     /// Bytes of the lists themselves: indices or masks, offsets and counts.
     std::uint64_t bytes() const;

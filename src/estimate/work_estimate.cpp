@@ -19,6 +19,7 @@
 #include "grid/sparse_grid_data.h"
 #include "lists/cell_candidates.h"
 #include "util/cancel.h"
+#include "util/isolate.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/search.h"
 
@@ -314,11 +315,8 @@ void countAll(const SparseGrid& grid, Progress* progress, WorkEstimate& estimate
     estimate.countedQueries = grid.particleCount();
 }
 
-} // namespace
-
-WorkEstimate estimateWork(const SparseGrid& sparseGrid, const EstimateOptions& options)
+WorkEstimate estimateLeaves(const SparseGrid& sparseGrid, const EstimateOptions& options)
 {
-    checkOptions(options);
     const double start = now();
     const SparseGridData& grid = sparseGrid.data();
     const CancelCheck cancel(options.progress, "estimate");
@@ -365,6 +363,14 @@ WorkEstimate estimateWork(const SparseGrid& sparseGrid, const EstimateOptions& o
     return finish();
 }
 
+} // namespace
+
+WorkEstimate estimateWork(const SparseGrid& grid, const EstimateOptions& options)
+{
+    checkOptions(options);
+    return isolated([&] { return estimateLeaves(grid, options); });
+}
+
 std::vector<float> expectNeighbors(const SparseGrid& sparseGrid, const EstimateOptions& options)
 {
     checkOptions(options);
@@ -379,14 +385,17 @@ std::vector<float> expectNeighbors(const SparseGrid& sparseGrid, const EstimateO
 
     const Model model(grid, overlapOf(grid, options));
     const Span<const std::uint32_t> numbers = sparseGrid.particleNumbers();
-    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, grid.leafCount(), 64), [&](const auto& range) {
-        cancel.check();
-        model.forEachCell(range.begin(), range.end(),
-                          [&](std::uint32_t, std::uint32_t firstSlot, std::uint32_t endSlot, float neighbors,
-                              std::uint32_t) {
-                              for (std::uint32_t s = firstSlot; s < endSlot; ++s)
-                                  neighborsOf[numbers[s]] = neighbors;
-                          });
+    const auto leaves = tbb::blocked_range<std::size_t>(0, grid.leafCount(), 64);
+    isolated([&] {
+        tbb::parallel_for(leaves, [&](const auto& range) {
+            cancel.check();
+            model.forEachCell(range.begin(), range.end(),
+                              [&](std::uint32_t, std::uint32_t firstSlot, std::uint32_t endSlot,
+                                  float neighbors, std::uint32_t) {
+                                  for (std::uint32_t s = firstSlot; s < endSlot; ++s)
+                                      neighborsOf[numbers[s]] = neighbors;
+                              });
+        });
     });
     return neighborsOf;
 }

@@ -2,6 +2,7 @@
 #include "execute/engine_state.h"
 
 #include "lists/cell_candidates.h"
+#include "util/sole_owner.h"
 #include "vdb_nns/error.h"
 
 #include <tbb/parallel_reduce.h>
@@ -143,7 +144,7 @@ void EngineState::checkCapacity(const SearchRun& run, Encoding encoding, std::ui
 std::shared_ptr<NeighborListsData> EngineState::beginLists(const SparseGrid& sparseGrid, Encoding encoding)
 {
     std::shared_ptr<NeighborListsData> result = std::make_shared<NeighborListsData>();
-    if (lists && lists.use_count() == 1) {
+    if (isSoleOwner(lists)) {
         result->slotOf = std::move(lists->slotOf);
         result->rowCount = std::move(lists->rowCount);
         result->rowBegin = std::move(lists->rowBegin);

@@ -3,6 +3,8 @@
 
 #include "execute/engine_state.h"
 #include "execute/run_schedule.h"
+#include "util/isolate.h"
+#include "util/sole_owner.h"
 #include "util/wall_clock.h"
 #include "vdb_nns/error.h"
 
@@ -33,38 +35,42 @@ SparseGrid SearchEngine::buildGrid(const ParticleView& view, double radius, cons
         throw InvalidInput("radius " + std::to_string(radius) + " is not a positive finite number");
     }
     checkOptions(options);
-    const double start = wallSeconds();
-    // The last lists hold the last grid; when nobody else reads them they let go of it.
-    if (mImpl->lists && mImpl->lists.use_count() == 1) mImpl->lists->grid = SparseGrid();
-    if (!mImpl->grid || mImpl->grid.use_count() > 1) mImpl->grid = std::make_shared<SparseGridData>();
-    buildSparseGrid(view, radius, options, mImpl->scratch, *mImpl->grid);
-    // Under a bound the memory of the sort is better spent on lists.
-    if (options.hostMemoryBytes) mImpl->scratch = GridScratch();
-    mImpl->statistics.gridSeconds = wallSeconds() - start;
-    return SparseGrid(mImpl->grid);
+    return isolated([&] {
+        const double start = wallSeconds();
+        // The last lists hold the last grid; when nobody else reads them they let go of it.
+        if (isSoleOwner(mImpl->lists)) mImpl->lists->grid = SparseGrid();
+        if (!isSoleOwner(mImpl->grid)) mImpl->grid = std::make_shared<SparseGridData>();
+        buildSparseGrid(view, radius, options, mImpl->scratch, *mImpl->grid);
+        // Under a bound the memory of the sort is better spent on lists.
+        if (options.hostMemoryBytes) mImpl->scratch = GridScratch();
+        mImpl->statistics.gridSeconds = wallSeconds() - start;
+        return SparseGrid(mImpl->grid);
+    });
 }
 
 NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& options)
 {
     checkOptions(options);
-    const double start = wallSeconds();
-    const std::shared_ptr<NeighborListsData> result = mImpl->beginLists(grid, options.encoding);
-    const SearchRun run(grid.data(), options);
-    mImpl->beginStatistics(options);
-    ChunkPool pool(std::move(result->chunks));
-    const std::uint64_t allowed = mImpl->allowRows(run, options, 0, *result, pool);
-    try {
-        forEachTask(run.grid, run.pieces, mImpl->states, run.cancel,
-                    [&](ThreadState& state, const SearchTask& task) {
-                        mImpl->makeRows(run, task, state, pool, *result);
-                    });
-    } catch (const ChunkPool::Exhausted&) {
-        throw listsDoNotFit(options.encoding, false, pool.takenBytes(), allowed);
-    }
-    mImpl->finishLists(run, pool, *result);
-    mImpl->lists = result;
-    mImpl->statistics.searchSeconds = wallSeconds() - start;
-    return NeighborLists(result);
+    return isolated([&] {
+        const double start = wallSeconds();
+        const std::shared_ptr<NeighborListsData> result = mImpl->beginLists(grid, options.encoding);
+        const SearchRun run(grid.data(), options);
+        mImpl->beginStatistics(options);
+        ChunkPool pool(std::move(result->chunks));
+        const std::uint64_t allowed = mImpl->allowRows(run, options, 0, *result, pool);
+        try {
+            forEachTask(run.grid, run.pieces, mImpl->states, run.cancel,
+                        [&](ThreadState& state, const SearchTask& task) {
+                            mImpl->makeRows(run, task, state, pool, *result);
+                        });
+        } catch (const ChunkPool::Exhausted&) {
+            throw listsDoNotFit(options.encoding, false, pool.takenBytes(), allowed);
+        }
+        mImpl->finishLists(run, pool, *result);
+        mImpl->lists = result;
+        mImpl->statistics.searchSeconds = wallSeconds() - start;
+        return NeighborLists(result);
+    });
 }
 
 NeighborLists SearchEngine::search(const SparseGrid& grid, const Schedule& schedule,
@@ -72,10 +78,12 @@ NeighborLists SearchEngine::search(const SparseGrid& grid, const Schedule& sched
                                    ScheduleRun& report)
 {
     checkOptions(options.search);
-    const double start = wallSeconds();
-    const NeighborLists lists = runSchedule(*mImpl, grid, schedule, devices, options, report);
-    mImpl->statistics.searchSeconds = wallSeconds() - start;
-    return lists;
+    return isolated([&] {
+        const double start = wallSeconds();
+        const NeighborLists lists = runSchedule(*mImpl, grid, schedule, devices, options, report);
+        mImpl->statistics.searchSeconds = wallSeconds() - start;
+        return lists;
+    });
 }
 
 namespace {
@@ -122,19 +130,25 @@ void visitTasks(EngineState& engine, const SparseGrid& grid, const SearchOptions
                 MakeTaker&& makeTaker)
 {
     checkOptions(options);
-    const double start = wallSeconds();
-    const SearchRun run(grid.data(), options);
-    engine.beginStatistics(options);
-    forEachTask(
-        run.grid, run.pieces, engine.states, run.cancel, [&](ThreadState& state, const SearchTask& task) {
-            auto taker = makeTaker(state);
-            state.beginTaking(taker, task);
-            state.exact = &run.exact;
-            run.kernels.visit(run.context, task, state.judge(), state.halo, state.taken, state.statistics);
-            state.flushRows();
-        });
-    engine.sumStatistics();
-    engine.statistics.searchSeconds = wallSeconds() - start;
+    isolated([&] {
+        const double start = wallSeconds();
+        const SearchRun run(grid.data(), options);
+        engine.beginStatistics(options);
+        forEachTask(run.grid, run.pieces, engine.states, run.cancel,
+                    [&](ThreadState& state, const SearchTask& task) {
+                        auto taker = makeTaker(state);
+                        state.beginTaking(taker, task);
+                        state.exact = &run.exact;
+                        // Once a task, for the kernel calls the visitor too.
+                        isolated([&] {
+                            run.kernels.visit(run.context, task, state.judge(), state.halo, state.taken,
+                                              state.statistics);
+                            state.flushRows();
+                        });
+                    });
+        engine.sumStatistics();
+        engine.statistics.searchSeconds = wallSeconds() - start;
+    });
 }
 
 } // namespace
@@ -155,15 +169,17 @@ std::uint64_t countCandidateTests(const SparseGrid& grid)
     if (grid.empty()) return 0;
     std::atomic<std::uint64_t> tests{0};
     ThreadStates states;
-    forEachTask(grid.data(), makePieces(grid.data()), states, CancelCheck(nullptr, "count"),
-                [&](ThreadState&, const SearchTask& task) {
-                    std::uint64_t sum = 0;
-                    forEachCandidateCount(blockViewOf(grid.data()), task,
-                                          [&](std::uint64_t queries, std::uint64_t candidates) {
-                                              sum += queries * candidates;
-                                          });
-                    tests += sum;
-                });
+    isolated([&] {
+        forEachTask(grid.data(), makePieces(grid.data()), states, CancelCheck(nullptr, "count"),
+                    [&](ThreadState&, const SearchTask& task) {
+                        std::uint64_t sum = 0;
+                        forEachCandidateCount(blockViewOf(grid.data()), task,
+                                              [&](std::uint64_t queries, std::uint64_t candidates) {
+                                                  sum += queries * candidates;
+                                              });
+                        tests += sum;
+                    });
+    });
     return tests;
 }
 

@@ -2,6 +2,7 @@
 #include "grid/topology.h"
 
 #include "grid/sparse_grid_data.h"
+#include "util/isolate.h"
 #include "vdb_nns/openvdb_bridge.h"
 
 #include <openvdb/tree/ValueAccessor.h>
@@ -68,7 +69,10 @@ struct Topology::Tree {
 };
 
 Topology::Topology() : mTree(std::make_unique<Tree>()) {}
-Topology::~Topology() = default;
+Topology::~Topology()
+{
+    isolated([this] { mTree.reset(); }); // OpenVDB frees its nodes in parallel
+}
 
 void Topology::build(Span<const Vec3i> origins)
 {

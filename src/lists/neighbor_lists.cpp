@@ -4,6 +4,8 @@
 #include "grid/sparse_grid_data.h"
 #include "lists/cell_candidates.h"
 #include "lists/neighbor_lists_data.h"
+#include "util/cancel.h"
+#include "util/isolate.h"
 #include "vdb_nns/error.h"
 
 #include <tbb/blocked_range.h>
@@ -154,6 +156,47 @@ void decodeSlot(const NeighborListsData& lists, std::uint32_t slot, std::vector<
     decodeRow(grid, runs, row.words + std::size_t(slot - row.firstSlot) * wordsOf(runs), out);
 }
 
+// NeighborLists::visitRows(). The visitor may run loops of its own, and no thread is handed another row meanwhile.
+void visitAllRows(const NeighborListsData& lists, const CancelCheck& cancel,
+                  const NeighborLists::RowVisitor& visit)
+{
+    constexpr std::uint64_t kNumbersBetweenChecks = std::uint64_t(1) << 20;
+    requireLists(lists);
+    if (lists.grid.empty()) return;
+    const SparseGridData& grid = lists.grid.data();
+    const auto visitLeaves = [&](std::size_t firstLeaf, std::size_t endLeaf) {
+        std::uint64_t handedOut = kNumbersBetweenChecks;
+        const auto handOut = [&](std::uint32_t slot, Span<const std::uint32_t> row) {
+            handedOut += row.size();
+            if (handedOut >= kNumbersBetweenChecks) {
+                cancel.check();
+                handedOut = 0;
+            }
+            visit(grid.number[slot], row);
+        };
+        if (lists.encoding == Encoding::kIndex) {
+            for (std::uint32_t s = grid.leaves[firstLeaf].firstSlot; s < grid.leaves[endLeaf].firstSlot; ++s)
+                handOut(s, {lists.rowBegin[s], lists.rowCount[s]});
+            return;
+        }
+        std::vector<std::uint32_t> row;
+        forEachMaskCell(lists, firstLeaf, endLeaf,
+                        [&](std::uint32_t begin, std::uint32_t end, const Runs& runs, std::uint32_t rowWords,
+                            const std::uint32_t* words) {
+                            for (std::uint32_t s = begin; s < end; ++s, words += rowWords) {
+                                row.clear();
+                                decodeRow(grid, runs, words, row);
+                                handOut(s, {row.data(), row.size()});
+                            }
+                        });
+    };
+    isolated([&] {
+        tbb::parallel_for(tbb::blocked_range<std::size_t>(0, grid.leafCount(), 4), [&](const auto& range) {
+            isolated([&] { visitLeaves(range.begin(), range.end()); });
+        });
+    });
+}
+
 std::uint64_t mix64(std::uint64_t x)
 {
     x = (x ^ x >> 30) * 0xBF58476D1CE4E5B9u;
@@ -200,8 +243,10 @@ std::uint32_t NeighborLists::count(std::size_t i) const
 std::vector<std::uint32_t> NeighborLists::counts() const
 {
     std::vector<std::uint32_t> counts(size());
-    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, size(), 4096), [&](const auto& range) {
-        for (std::size_t i = range.begin(); i < range.end(); ++i) counts[i] = count(i);
+    isolated([&] {
+        tbb::parallel_for(tbb::blocked_range<std::size_t>(0, size(), 4096), [&](const auto& range) {
+            for (std::size_t i = range.begin(); i < range.end(); ++i) counts[i] = count(i);
+        });
     });
     return counts;
 }
@@ -233,39 +278,25 @@ void NeighborLists::neighbors(std::size_t i, std::vector<std::uint32_t>& out) co
 
 void NeighborLists::visitRows(const RowVisitor& visit) const
 {
-    requireLists(*mData);
-    const NeighborListsData& lists = *mData;
-    if (lists.grid.empty()) return;
-    const SparseGridData& grid = lists.grid.data();
-    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, grid.leafCount(), 4), [&](const auto& range) {
-        if (lists.encoding == Encoding::kIndex) {
-            for (std::uint32_t s = grid.leaves[range.begin()].firstSlot;
-                 s < grid.leaves[range.end()].firstSlot; ++s) {
-                visit(grid.number[s], {lists.rowBegin[s], lists.rowCount[s]});
-            }
-            return;
-        }
-        std::vector<std::uint32_t> row;
-        forEachMaskCell(lists, range.begin(), range.end(),
-                        [&](std::uint32_t begin, std::uint32_t end, const Runs& runs, std::uint32_t rowWords,
-                            const std::uint32_t* words) {
-                            for (std::uint32_t s = begin; s < end; ++s, words += rowWords) {
-                                row.clear();
-                                decodeRow(grid, runs, words, row);
-                                visit(grid.number[s], {row.data(), row.size()});
-                            }
-                        });
-    });
+    visitAllRows(*mData, CancelCheck(nullptr, "lists"), visit);
 }
 
-Csr NeighborLists::toCsr() const
+Csr NeighborLists::toCsr(Progress* progress) const
 {
+    constexpr std::size_t kIndicesBetweenChecks = std::size_t(1) << 24;
     requireLists(*mData);
+    const CancelCheck cancel(progress, "lists");
     Csr csr;
+    const std::vector<std::uint32_t> counts = this->counts();
     csr.offsets.resize(size() + 1);
-    for (std::size_t i = 0; i < size(); ++i) csr.offsets[i + 1] = csr.offsets[i] + count(i);
-    csr.indices.resize(csr.offsets.back());
-    visitRows([&](std::uint32_t query, Span<const std::uint32_t> neighbors) {
+    for (std::size_t i = 0; i < size(); ++i) csr.offsets[i + 1] = csr.offsets[i] + counts[i];
+    csr.indices.reserve(csr.offsets.back());
+    while (csr.indices.size() < csr.offsets.back()) {
+        cancel.check();
+        csr.indices.resize(
+            std::min<std::size_t>(csr.offsets.back(), csr.indices.size() + kIndicesBetweenChecks));
+    }
+    visitAllRows(*mData, cancel, [&](std::uint32_t query, Span<const std::uint32_t> neighbors) {
         std::uint32_t* const row = csr.indices.data() + csr.offsets[query];
         std::copy(neighbors.begin(), neighbors.end(), row);
         std::sort(row, row + neighbors.size());
@@ -273,16 +304,16 @@ Csr NeighborLists::toCsr() const
     return csr;
 }
 
-std::uint64_t NeighborLists::checksum() const
+std::uint64_t NeighborLists::checksum(Progress* progress) const
 {
-    requireLists(*mData);
     // Sums modulo 2^64 do not depend on the order, so threads may add theirs as they come.
     std::atomic<std::uint64_t> sum{0};
-    visitRows([&](std::uint32_t query, Span<const std::uint32_t> neighbors) {
-        std::uint64_t row = 0;
-        for (const std::uint32_t j : neighbors) row += mix64(std::uint64_t(query) << 32 | j);
-        sum.fetch_add(row, std::memory_order_relaxed);
-    });
+    visitAllRows(*mData, CancelCheck(progress, "lists"),
+                 [&](std::uint32_t query, Span<const std::uint32_t> neighbors) {
+                     std::uint64_t row = 0;
+                     for (const std::uint32_t j : neighbors) row += mix64(std::uint64_t(query) << 32 | j);
+                     sum.fetch_add(row, std::memory_order_relaxed);
+                 });
     return sum;
 }
 

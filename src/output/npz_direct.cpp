@@ -8,6 +8,7 @@
 #include "output/npz_parts.h"
 #include "output/output_file.h"
 #include "util/cancel.h"
+#include "util/isolate.h"
 #include "util/memory.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/search.h"
@@ -339,13 +340,14 @@ void writeNpzRowsDirect(const std::string& path, const NpzRowSource& source, Lis
     NpzLayout layout = beginNpz(places.size(), source.pairCount(), values);
     requireRoom(file, layout);
     writeEnds(file, places, layout.members[NpzLayout::kIndptr], cancel);
-    writeRows({file, source, places, layout, cancel, values == ListValues::kDistance}, layout, threadBytes,
-              progress);
-    if (values == ListValues::kConnectivity) writeOnes(file, layout.members[NpzLayout::kData], cancel);
+    isolated([&] {
+        writeRows({file, source, places, layout, cancel, values == ListValues::kDistance}, layout,
+                  threadBytes, progress);
+        if (values == ListValues::kConnectivity) writeOnes(file, layout.members[NpzLayout::kData], cancel);
+    });
     finishNpz(file, layout, places.size());
-    cancel.check();
-    file.commit();
     cancel.update(1);
+    file.commit();
 }
 
 void writeNpzDirect(const std::string& path, SearchEngine& engine, const NeighborLists& counts,

@@ -6,6 +6,7 @@
 #include "output/npz_parts.h"
 #include "output/output_file.h"
 #include "util/cancel.h"
+#include "util/isolate.h"
 #include "vdb_nns/error.h"
 
 #include <oneapi/tbb/parallel_for.h>
@@ -53,15 +54,16 @@ struct Block {
 
 class NpzStream {
 public:
-    NpzStream(OutputFile& file, const NpzRows& rows, ListValues values)
+    NpzStream(OutputFile& file, const NpzRows& rows, ListValues values, const CancelCheck& cancel)
         : mFile(file),
           mRows(rows),
+          mCancel(cancel),
           mHasDistances(values == ListValues::kDistance),
           mLayout(beginNpz(rows.size(), rows.pairCount(), values))
     {
     }
 
-    void write(const CancelCheck& cancel)
+    void write()
     {
         requireRoom(mFile, mLayout);
         const std::int64_t zero = 0;
@@ -73,7 +75,7 @@ public:
         plan(*next, *ready);
         sortRows(*next);
         while (next->rowEnd > next->rowBegin) {
-            cancel.update(static_cast<double>(next->rowBegin) / static_cast<double>(mRows.size()));
+            mCancel.update(static_cast<double>(next->rowBegin) / static_cast<double>(mRows.size()));
             std::swap(next, ready);
             tbb::parallel_invoke([&] { writeBlock(*ready); },
                                  [&] {
@@ -126,6 +128,7 @@ private:
 
     void sortTask(Block& block, Task& task)
     {
+        mCancel.check();
         const std::uint64_t first = block.pairsBefore(task.rowBegin);
         std::uint32_t* row = block.indices.data() + first;
         for (std::size_t i = task.rowBegin; i < task.rowEnd; ++i) {
@@ -183,6 +186,7 @@ private:
 
     OutputFile& mFile;
     const NpzRows& mRows;
+    const CancelCheck& mCancel;
     const bool mHasDistances;
     NpzLayout mLayout;
     std::vector<std::int8_t> mOnes;
@@ -226,10 +230,9 @@ void writeNpzRows(const std::string& path, const NpzRows& rows, ListValues value
     const CancelCheck cancel(progress, "write");
     cancel.update(0);
     OutputFile file(path, overwrite);
-    NpzStream(file, rows, values).write(cancel);
-    cancel.check();
-    file.commit();
+    isolated([&] { NpzStream(file, rows, values, cancel).write(); });
     cancel.update(1);
+    file.commit();
 }
 
 void writeNpz(const std::string& path, const NeighborLists& lists, ListValues values, bool overwrite,

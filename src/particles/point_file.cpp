@@ -5,6 +5,7 @@
 #include "particles/particle_source.h"
 #include "particles/vdb_file.h"
 #include "util/cancel.h"
+#include "util/isolate.h"
 #include "util/memory.h"
 #include "vdb_nns/error.h"
 
@@ -19,6 +20,8 @@
 #include <cstring>
 #include <limits>
 #include <mutex>
+#include <optional>
+#include <utility>
 
 #include <fcntl.h>
 #include <sys/stat.h>
@@ -29,8 +32,9 @@ namespace vdb_nns {
 struct PointFile::Data {
     std::unique_ptr<VdbFile> vdb; // null for array files
     ParticleView view;            // keeps the memory of array files
-    PointFileInfo info;           // all but the pass over the positions is there from the start
-    std::once_flag infoOnce;
+    PointFileInfo info;           // all but the pass over the positions
+    std::mutex mutex;             // of what follows
+    std::optional<PointFileInfo> fullInfo;
 };
 
 namespace {
@@ -241,7 +245,7 @@ PointFile PointFile::read(const std::string& path, const std::string& grid, Prog
                            "' out");
     }
     const InputDescriptor file(path);
-    try {
+    const auto readFile = [&] {
         if (format == "vdb") {
             data.vdb = VdbFile::read(path, grid, progress);
             data.view = data.vdb->view();
@@ -252,6 +256,9 @@ PointFile PointFile::read(const std::string& path, const std::string& grid, Prog
             data.view = readArray(file, cancel, data.info);
             cancel.update(1);
         }
+    };
+    try {
+        isolated(readFile);
     } catch (const std::bad_alloc&) {
         throw InputError(path + ": its " + std::to_string(file.bytes()) +
                          " bytes do not fit the memory; split the file or use a machine with more");
@@ -266,8 +273,17 @@ const ParticleView& PointFile::view() const
 
 const PointFileInfo& PointFile::info() const
 {
-    std::call_once(mData->infoOnce, [this] { measure(mData->view.source(), mData->info); });
-    return mData->info;
+    Data& data = *mData;
+    {
+        const std::lock_guard<std::mutex> lock(data.mutex);
+        if (data.fullInfo) return *data.fullInfo;
+    }
+    // Not under the lock: whoever else asks meanwhile measures too, and the first one's result stays.
+    PointFileInfo info = data.info;
+    isolated([&] { measure(data.view.source(), info); });
+    const std::lock_guard<std::mutex> lock(data.mutex);
+    if (!data.fullInfo) data.fullInfo = std::move(info);
+    return *data.fullInfo;
 }
 
 void PointFile::writeVdb(const std::string& path, Span<const std::uint32_t> counts, const std::string& prefix,
@@ -278,7 +294,7 @@ void PointFile::writeVdb(const std::string& path, Span<const std::uint32_t> coun
                            ": result attributes are written to .vdb files only, and this is a ." +
                            mData->info.format + " file; write lists (.npz) instead");
     }
-    mData->vdb->write(path, counts, prefix + "count", overwrite, progress);
+    isolated([&] { mData->vdb->write(path, counts, prefix + "count", overwrite, progress); });
 }
 
 } // namespace vdb_nns

@@ -12,9 +12,10 @@
 #include <openvdb/io/Stream.h>
 
 #include <algorithm>
+#include <atomic>
 #include <fstream>
 #include <map>
-#include <mutex>
+#include <optional>
 
 namespace vdb_nns {
 
@@ -130,7 +131,8 @@ private:
 // added and taken away again; the lent-out ones return at the end.
 class AttributeLoan {
 public:
-    explicit AttributeLoan(points::PointDataGrid& grid)
+    // `isLent`: of the grid, true already; no more at the end.
+    AttributeLoan(points::PointDataGrid& grid, std::atomic<bool>& isLent) : mIsLent(isLent)
     {
         grid.tree().getNodes(mLeaves);
         mSets.reserve(mLeaves.size());
@@ -146,12 +148,14 @@ public:
         for (std::size_t i = 0; i < mSets.size(); ++i) {
             mLeaves[i]->replaceAttributeSet(mSets[i].release(), /*allowMismatchingDescriptors=*/true);
         }
+        mIsLent = false;
     }
 
     AttributeLoan(const AttributeLoan&) = delete;
     AttributeLoan& operator=(const AttributeLoan&) = delete;
 
 private:
+    std::atomic<bool>& mIsLent;
     std::vector<Leaf*> mLeaves;
     std::vector<points::AttributeSet::UniquePtr> mSets;
 };
@@ -185,18 +189,21 @@ public:
     {
         const CancelCheck cancel(progress, "read");
         cancel.update(0);
-        Archive archive(path);
-        mChosen = chooseEntry(path, archive.entries(), wanted);
-        mGrid = openvdb::gridPtrCast<points::PointDataGrid>(archive.read(mChosen));
-        if (!mGrid) throw InputError(path + ": its point grid is not one; the file is damaged");
+        guardRead(path, [&] {
+            Archive archive(path);
+            mChosen = chooseEntry(path, archive.entries(), wanted);
+            mGrid = readChosen(archive);
+        });
         cancel.update(0.8);
-        try {
-            mView = viewOf(mGrid);
-        } catch (const InputError& error) {
-            throw InputError(path + ": " + error.what());
-        } catch (const InvalidInput& error) { // too many points: here the file's fault
-            throw InputError(path + ": " + error.what());
-        }
+        guardRead(path, [&] {
+            try {
+                mView = viewOf(mGrid);
+            } catch (const InputError& error) {
+                throw InputError(path + ": " + error.what());
+            } catch (const InvalidInput& error) { // too many points: here the file's fault
+                throw InputError(path + ": " + error.what());
+            }
+        });
         cancel.update(1);
     }
 
@@ -206,14 +213,24 @@ public:
                bool overwrite, Progress* progress) const override;
 
 private:
-    std::vector<openvdb::GridBase::Ptr> readOtherGrids(Archive& archive, const CancelCheck& cancel) const;
+    points::PointDataGrid::Ptr readChosen(Archive& archive) const;
+    std::vector<openvdb::GridBase::Ptr> readOtherGrids(Archive& archive,
+                                                       const points::PointDataGrid::Ptr& chosen,
+                                                       const CancelCheck& cancel) const;
 
     std::string mPath;
     std::size_t mChosen = 0; // entry of the file
+    ParticleView mView;      // freed after the grid's other handle: it knows how to
     points::PointDataGrid::Ptr mGrid;
-    ParticleView mView;
-    mutable std::mutex mLoanMutex; // one writer at a time changes the grid
+    mutable std::atomic<bool> mIsLent{false};
 };
+
+points::PointDataGrid::Ptr LoadedVdb::readChosen(Archive& archive) const
+{
+    auto grid = openvdb::gridPtrCast<points::PointDataGrid>(archive.read(mChosen));
+    if (!grid) throw InputError(mPath + ": its point grid is not one; the file is damaged");
+    return grid;
+}
 
 void LoadedVdb::describe(PointFileInfo& info) const
 {
@@ -237,22 +254,20 @@ void LoadedVdb::describe(PointFileInfo& info) const
 }
 
 std::vector<openvdb::GridBase::Ptr> LoadedVdb::readOtherGrids(Archive& archive,
+                                                              const points::PointDataGrid::Ptr& chosen,
                                                               const CancelCheck& cancel) const
 {
     const std::vector<VdbEntry>& entries = archive.entries();
-    if (mChosen >= entries.size() || entries[mChosen].gridType != points::PointDataGrid::gridType()) {
-        throw InputError(mPath + ": has changed since it was read; read it again");
-    }
     std::vector<openvdb::GridBase::Ptr> grids(entries.size());
     std::map<std::string, std::size_t> numbers; // of unique names
     for (std::size_t i = 0; i < entries.size(); ++i) {
         cancel.check();
         numbers[entries[i].uniqueName] = i;
         if (i == mChosen) {
-            grids[i] = mGrid;
+            grids[i] = chosen;
             continue;
         }
-        grids[i] = archive.read(i);
+        guardRead(mPath, [&] { grids[i] = archive.read(i); });
         const auto parent = numbers.find(entries[i].instanceParent);
         const bool isInstance = !entries[i].instanceParent.empty() && parent != numbers.end();
         if (isInstance && parent->second != mChosen) grids[i]->setTree(grids[parent->second]->baseTreePtr());
@@ -265,20 +280,29 @@ void LoadedVdb::write(const std::string& path, Span<const std::uint32_t> counts,
 {
     const CancelCheck cancel(progress, "write");
     cancel.update(0);
-    const std::lock_guard<std::mutex> lock(mLoanMutex);
-    const AttributeLoan loan(*mGrid);
-    setPointAttribute(*mGrid, attribute, counts, overwrite);
+    std::optional<Archive> archive;
+    guardRead(mPath, [&] { archive.emplace(mPath); });
+    const std::vector<VdbEntry>& entries = archive->entries();
+    if (mChosen >= entries.size() || entries[mChosen].gridType != points::PointDataGrid::gridType()) {
+        throw InputError(mPath + ": has changed since it was read; read it again");
+    }
+    // Who comes while the grid is lent out reads one from the file: a task must not wait for another.
+    std::optional<AttributeLoan> loan;
+    points::PointDataGrid::Ptr own = mGrid;
+    if (!mIsLent.exchange(true)) {
+        loan.emplace(*mGrid, mIsLent);
+    } else {
+        guardRead(mPath, [&] { own = readChosen(*archive); });
+    }
+    setPointAttribute(*own, attribute, counts, overwrite);
 
     OutputFile file(path, overwrite);
     SeekableArchive out;
     openvdb::GridCPtrVec grids;
-    openvdb::MetaMap metadata;
-    guardRead(mPath, [&] {
-        Archive archive(mPath);
-        for (const openvdb::GridBase::Ptr& grid : readOtherGrids(archive, cancel)) grids.push_back(grid);
-        metadata = archive.metadata();
-        out.setCompression(archiveCompression(archive.entries(), mChosen));
-    });
+    for (const openvdb::GridBase::Ptr& grid : readOtherGrids(*archive, own, cancel)) grids.push_back(grid);
+    const openvdb::MetaMap metadata = archive->metadata();
+    out.setCompression(archiveCompression(entries, mChosen));
+    archive.reset();
     // OpenVDB's statistics describe the grid as it is in the file, so they are made anew, but only for those
     // who had them.
     out.setGridStatsMetadataEnabled(static_cast<bool>((*mGrid)[openvdb::GridBase::META_FILE_COMPRESSION]));
@@ -296,9 +320,8 @@ void LoadedVdb::write(const std::string& path, Span<const std::uint32_t> counts,
     } catch (const openvdb::Exception& error) {
         throw OutputError(path + ": OpenVDB cannot write it: " + error.what());
     }
-    cancel.check();
-    file.commit();
     cancel.update(1);
+    file.commit();
 }
 
 } // namespace
@@ -306,7 +329,7 @@ void LoadedVdb::write(const std::string& path, Span<const std::uint32_t> counts,
 std::unique_ptr<VdbFile> VdbFile::read(const std::string& path, const std::string& grid, Progress* progress)
 {
     openvdb::initialize();
-    return guardRead(path, [&] { return std::make_unique<LoadedVdb>(path, grid, progress); });
+    return std::make_unique<LoadedVdb>(path, grid, progress);
 }
 
 } // namespace vdb_nns

@@ -5,6 +5,7 @@
 
 #include "particles/particle_source.h"
 #include "particles/voxel_ends.h"
+#include "util/isolate.h"
 #include "vdb_nns/error.h"
 
 #include <openvdb/points/AttributeArray.h>
@@ -222,6 +223,11 @@ struct Output {
 class VdbSource final : public ParticleSource {
 public:
     explicit VdbSource(const points::PointDataGrid::ConstPtr& grid);
+    // OpenVDB frees the leaves of the last handle in parallel.
+    ~VdbSource() override
+    {
+        isolated([this] { mGrid.reset(); });
+    }
 
     StoredPosition stored(std::size_t i) const override;
     void read(std::size_t begin, std::size_t count, const Vec3d& reference, double* x, double* y,
@@ -429,7 +435,7 @@ std::size_t prepareAttribute(points::PointDataGrid& grid, const std::string& nam
 ParticleView viewOf(const points::PointDataGrid::ConstPtr& grid)
 {
     if (!grid) throw InvalidInput("viewOf needs a point grid, not a null pointer");
-    return ParticleView(std::make_shared<VdbSource>(grid));
+    return isolated([&] { return ParticleView(std::make_shared<VdbSource>(grid)); });
 }
 
 void setPointAttribute(points::PointDataGrid& grid, const std::string& name, Span<const std::uint32_t> values,
@@ -453,7 +459,7 @@ void setPointAttribute(points::PointDataGrid& grid, const std::string& name, Spa
     }
     if (leaves.empty()) return; // attributes live in leaves
 
-    try {
+    const auto setValues = [&] {
         const std::size_t position = prepareAttribute(grid, name, overwrite);
         tbb::parallel_for(std::size_t(0), leaves.size(), [&](std::size_t i) {
             CountArray& array = CountArray::cast(leaves[i]->attributeArray(position));
@@ -464,6 +470,9 @@ void setPointAttribute(points::PointDataGrid& grid, const std::string& name, Spa
             }
             if (count == 0) array.fill(0); // OpenVDB holds no array shorter than one
         });
+    };
+    try {
+        isolated(setValues);
     } catch (const openvdb::Exception& error) {
         throw InputError(gridText(grid) + "attribute '" + name + "' cannot be added: " + error.what() +
                          "; its leaves must share one set of attributes");

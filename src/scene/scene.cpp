@@ -2,6 +2,8 @@
 #include "vdb_nns/scene.h"
 
 #include "scene_families.h"
+#include "util/isolate.h"
+#include "vdb_nns/error.h"
 
 #include <cmath>
 #include <limits>
@@ -116,8 +118,10 @@ Scene makeScene(const SceneOptions& options, Progress* progress)
     scene.suggestedRadius = options.radiusFactor.value_or(2.0) * h;
     scene.voxelSize = options.voxelSize.value_or(options.name == "lattice" ? h : 2 * h);
     scene.positions.resize(3 * options.count);
-    entry.generate({options, options.count, h, scene.suggestedRadius, scene.voxelSize, scene.positions.data(),
-                    progress});
+    isolated([&] {
+        entry.generate({options, options.count, h, scene.suggestedRadius, scene.voxelSize,
+                        scene.positions.data(), CancelCheck(progress, "scene")});
+    });
     return scene;
 }
 

@@ -4,7 +4,7 @@
 #pragma once
 
 #include "random.h"
-#include "vdb_nns/error.h"
+#include "util/cancel.h"
 #include "vdb_nns/scene.h"
 
 #include <tbb/blocked_range.h>
@@ -29,7 +29,7 @@ struct Job {
     double radius;    // world units
     double voxelSize; // world units
     double* positions;
-    Progress* progress;
+    CancelCheck cancel;
 };
 
 using Generator = void (*)(const Job&);
@@ -54,16 +54,14 @@ void place(const Job& job, std::uint64_t first, std::uint64_t count, const Vec3d
     // 16384 particles a task: about a millisecond, so that a cancel is seen soon and tasks cost nothing.
     const tbb::blocked_range<std::uint64_t> all(0, count, 16384);
     tbb::parallel_for(all, [&](const tbb::blocked_range<std::uint64_t>& range) {
-        if (job.progress && job.progress->cancelled()) throw Cancelled("scene: cancelled");
+        job.cancel.check();
         for (std::uint64_t k = range.begin(); k < range.end(); ++k) {
             const Vec3d p = unit(k, first + k);
             double* out = job.positions + 3 * (first + k);
             for (int axis = 0; axis < 3; ++axis) out[axis] = origin[axis] + p[axis] * job.spacing;
         }
     });
-    if (job.progress) {
-        job.progress->update("scene", static_cast<double>(first + count) / static_cast<double>(job.count));
-    }
+    job.cancel.update(static_cast<double>(first + count) / static_cast<double>(job.count));
 }
 
 // p moved by the jitter of particle `index`.

@@ -1,6 +1,8 @@
 // Scenes into .vdb files: one point grid named `points`. The only file of the scenes with OpenVDB. Points of a voxel
 // keep the order of the scene, whatever the number of threads (OpenVDB's partitioner sorts stably).
 #include "../output/output_file.h"
+#include "util/cancel.h"
+#include "util/isolate.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/scene.h"
 
@@ -20,11 +22,6 @@ namespace {
 
 using openvdb::points::PointDataGrid;
 
-void checkCancel(const Progress* progress)
-{
-    if (progress && progress->cancelled()) throw Cancelled("scene: cancelled");
-}
-
 // Positions in voxels, as OpenVDB's point partitioner wants them. The offset from the voxel's centre is rounded to a
 // multiple of 2^-26, finer than float resolves at a quarter of a voxel: i * h / h need not be i in double, and a point
 // of a lattice with h as the voxel size must have P = 0 exactly.
@@ -33,8 +30,8 @@ public:
     using PosType = openvdb::Vec3d;
     using value_type = openvdb::Vec3d;
 
-    VoxelPositions(const std::vector<double>& positions, double voxelSize)
-        : mPositions(positions), mVoxelSize(voxelSize)
+    VoxelPositions(const std::vector<double>& positions, double voxelSize, const CancelCheck& cancel)
+        : mPositions(positions), mVoxelSize(voxelSize), mCancel(cancel)
     {
     }
 
@@ -42,6 +39,7 @@ public:
 
     void getPos(std::size_t n, PosType& position) const
     {
+        if (n % 16384 == 0) mCancel.check(); // OpenVDB asks nobody
         for (int axis = 0; axis < 3; ++axis) {
             const double inVoxels = mPositions[3 * n + static_cast<std::size_t>(axis)] / mVoxelSize;
             const double voxel = std::floor(inVoxels + 0.5);
@@ -52,6 +50,7 @@ public:
 private:
     const std::vector<double>& mPositions;
     double mVoxelSize;
+    const CancelCheck& mCancel;
 };
 
 // Voxel coordinates are 32-bit; NaN fails too.
@@ -104,30 +103,36 @@ public:
     }
 };
 
-} // namespace
-
-void writeScene(const std::string& path, const Scene& scene, const SceneOptions& options, bool overwrite,
-                Progress* progress)
+void writeSceneFile(const std::string& path, const Scene& scene, const SceneOptions& options, bool overwrite,
+                    Progress* progress)
 {
+    const CancelCheck cancel(progress, "write");
     checkRange(scene);
     OutputFile file(path, overwrite);
     openvdb::initialize();
-    checkCancel(progress);
-    const PointDataGrid::Ptr grid = makeGrid(VoxelPositions(scene.positions, scene.voxelSize), options.codec);
-    checkCancel(progress);
-    if (progress) progress->update("write", 0.5);
+    cancel.check();
+    const PointDataGrid::Ptr grid =
+        makeGrid(VoxelPositions(scene.positions, scene.voxelSize, cancel), options.codec);
+    cancel.update(0.5);
     grid->setTransform(openvdb::math::Transform::createLinearTransform(scene.voxelSize));
     grid->setName("points");
     grid->insertMeta("suggested_radius", openvdb::DoubleMetadata(scene.suggestedRadius));
-    OutputStreamBuffer buffer(file, [&](std::uint64_t) { checkCancel(progress); });
+    OutputStreamBuffer buffer(file, [&](std::uint64_t) { cancel.check(); });
     std::ostream stream(&buffer);
     stream.exceptions(std::ios::badbit);
     const SeekableArchive archive;
     archive.writeGrid(stream, grid);
     stream.flush();
-    checkCancel(progress);
+    cancel.update(1);
     file.commit();
-    if (progress) progress->update("write", 1);
+}
+
+} // namespace
+
+void writeScene(const std::string& path, const Scene& scene, const SceneOptions& options, bool overwrite,
+                Progress* progress)
+{
+    isolated([&] { writeSceneFile(path, scene, options, overwrite, progress); });
 }
 
 } // namespace vdb_nns

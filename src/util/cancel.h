@@ -1,6 +1,7 @@
 // Asks a Progress whether to stop. Cheap enough for every batch of work.
 #pragma once
 
+#include "util/isolate.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/progress.h"
 
@@ -15,14 +16,14 @@ public:
 
     void check() const
     {
-        if (mProgress && mProgress->cancelled())
+        if (mProgress && isolated([this] { return mProgress->cancelled(); }))
             throw Cancelled(std::string("cancelled during step ") + mStep);
     }
 
     void update(double fraction) const
     {
         check();
-        if (mProgress) mProgress->update(mStep, fraction);
+        if (mProgress) isolated([&] { mProgress->update(mStep, fraction); });
     }
 
 private:

@@ -5,6 +5,7 @@
 #include "grid/sparse_grid_data.h"
 #include "shared/block_result.h"
 #include "util/cancel.h"
+#include "util/isolate.h"
 #include "vdb_nns/error.h"
 #include "workload/block_halo.h"
 
@@ -143,12 +144,14 @@ WorkloadTree buildWorkloadTree(const SparseGrid& sparseGrid, const WorkEstimate&
     for (std::size_t begin = 0; begin < tree.nodes.size();) {
         const std::size_t end = tree.nodes.size();
         std::vector<std::vector<WorkloadNode>> children(end - begin);
-        tbb::parallel_for(begin, end, [&](std::size_t i) {
-            cancel.check();
-            WorkloadNode& node = tree.nodes[i];
-            if (builder.isLarge(node, options) && node.log2Cells > kLeafLog2Cells) {
-                children[i - begin] = builder.children(node);
-            }
+        isolated([&] {
+            tbb::parallel_for(begin, end, [&](std::size_t i) {
+                cancel.check();
+                WorkloadNode& node = tree.nodes[i];
+                if (builder.isLarge(node, options) && node.log2Cells > kLeafLog2Cells) {
+                    children[i - begin] = builder.children(node);
+                }
+            });
         });
         for (std::size_t i = begin; i < end; ++i) {
             std::vector<WorkloadNode>& own = children[i - begin];
