@@ -39,12 +39,9 @@ public:
             throw InputError(mPath + ": is not a VDB file (" + std::to_string(mFileBytes) +
                              " bytes, without OpenVDB's magic number)");
         }
-        const std::uint64_t version = number(4);
-        if (version != kVdbFileVersion) {
-            throw InputError(mPath + ": VDB file version " + std::to_string(version) +
-                             " is not supported: point grids need version " +
-                             std::to_string(kVdbFileVersion) + "; write the file again with OpenVDB 4 to 11");
-        }
+        directory.fileBytes = mFileBytes;
+        directory.fileVersion = static_cast<std::uint32_t>(number(4));
+        checkVersion(directory.fileVersion);
         skip(4 + 4); // library version
         directory.hasOffsets = number(1) != 0;
         skip(kUuidBytes);
@@ -56,13 +53,33 @@ public:
         const std::uint64_t gridCount = number(4);
         if (!directory.hasOffsets) return directory;
         for (std::uint64_t left = gridCount; left > 0; --left) directory.entries.push_back(readEntry());
+        if (mPosition != mFileBytes) {
+            throw InputError(mPath + ": damaged: " + std::to_string(mFileBytes - mPosition) +
+                             " bytes follow the last of its " + std::to_string(gridCount) +
+                             " grids; write the file again");
+        }
         return directory;
     }
 
 private:
+    void checkVersion(std::uint32_t version) const
+    {
+        const std::string is = mPath + ": is of VDB file version " + std::to_string(version);
+        if (version < kFirstVdbFileVersion) {
+            throw InputError(is + ", which has no point grids: they came with version " +
+                             std::to_string(kFirstVdbFileVersion) + "; give a file with a PointDataGrid");
+        }
+        if (version > kLastVdbFileVersion) {
+            throw InputError(is + ", and versions " + std::to_string(kFirstVdbFileVersion) + " to " +
+                             std::to_string(kLastVdbFileVersion) +
+                             " are read; write the file again with OpenVDB 4 to 13, or take a newer vdb_nns");
+        }
+    }
+
     VdbEntry readEntry()
     {
         VdbEntry entry;
+        entry.position = mPosition;
         entry.uniqueName = string();
         entry.gridType = string();
         const std::size_t suffix = entry.gridType.rfind(kHalfFloatSuffix);
@@ -74,8 +91,9 @@ private:
         if (endPosition > mFileBytes && gridPosition >= mPosition && endPosition >> 63 == 0) {
             failTruncated("grid '" + entry.uniqueName + "' ends at byte " + std::to_string(endPosition));
         }
+        const bool isBlockInside = blockPosition == 0 || blockPosition >= gridPosition;
         if (gridPosition < mPosition || endPosition < gridPosition || blockPosition > endPosition ||
-            endPosition > mFileBytes) {
+            !isBlockInside || endPosition > mFileBytes) {
             throw InputError(mPath + ": damaged: grid '" + entry.uniqueName + "' claims bytes " +
                              std::to_string(gridPosition) + " to " + std::to_string(endPosition) +
                              " of a file of " + std::to_string(mFileBytes) + " whose byte " +
@@ -84,6 +102,8 @@ private:
         seek(gridPosition);
         entry.compression = static_cast<std::uint32_t>(number(4));
         seek(endPosition);
+        entry.gridBegin = gridPosition;
+        entry.gridEnd = endPosition;
         return entry;
     }
 

@@ -8,14 +8,16 @@
 #include "vdb_nns/error.h"
 #include "vdb_nns/openvdb_bridge.h"
 
-#include <openvdb/io/File.h>
-#include <openvdb/io/Stream.h>
+#include <openvdb/io/Archive.h>
+#include <openvdb/io/GridDescriptor.h>
 
 #include <algorithm>
 #include <atomic>
+#include <cstring>
 #include <fstream>
 #include <map>
 #include <optional>
+#include <sstream>
 
 namespace vdb_nns {
 
@@ -73,58 +75,120 @@ std::size_t chooseEntry(const std::string& path, const std::vector<VdbEntry>& en
     throw InvalidInput(path + ": has no point grid '" + wanted + "'; its point grids are " + list);
 }
 
-// A file in memory: all grids where it was written as a stream, else only those asked for.
-class Archive {
+// Reads grids from a stream of its own. Unlike io::File it can tell where the reading of a grid stopped: OpenVDB
+// reads damaged sizes and counts without a word, and stops at another byte than the writer did.
+class Archive final : private openvdb::io::Archive {
 public:
-    explicit Archive(const std::string& path) : mPath(path), mDirectory(readVdbDirectory(path)), mFile(path)
+    explicit Archive(const std::string& path)
+        : mPath(path), mDirectory(readVdbDirectory(path)), mStream(path, std::ios::binary)
     {
-        if (mDirectory.hasOffsets) {
-            mFile.open(/*delayLoad=*/false);
-            mMetadata = mFile.getMetadata();
-        } else {
-            readStream();
-        }
+        mStream.exceptions(std::ios::badbit | std::ios::failbit | std::ios::eofbit);
+        failTruncated([&] {
+            openHeader();
+            mMetadata.readMeta(mStream);
+            if (!mDirectory.hasOffsets) readStream();
+        });
     }
 
     const std::vector<VdbEntry>& entries() const { return mDirectory.entries; }
-    const openvdb::MetaMap& metadata() const { return *mMetadata; }
+    const openvdb::MetaMap& metadata() const { return mMetadata; }
 
     openvdb::GridBase::Ptr read(std::size_t entry)
     {
-        if (!mDirectory.hasOffsets) return (*mStreamGrids)[entry];
-        return mFile.readGrid(GridDescriptor::nameAsString(entries()[entry].uniqueName));
+        if (!mDirectory.hasOffsets) return mStreamGrids[entry];
+        const openvdb::GridBase::Ptr grid = readEntry(entries()[entry]);
+        const std::string& parent = entries()[entry].instanceParent;
+        if (!parent.empty()) grid->setTree(readEntry(entryOf(parent))->baseTreePtr());
+        return grid;
     }
 
 private:
-    // Such a file tells nowhere where it ends. The stream's exceptions notice where it is cut.
+    template <typename F>
+    void failTruncated(F&& read) const
+    {
+        try {
+            read();
+        } catch (const std::ios::failure&) {
+            throw InputError(
+                mPath + ": truncated or damaged: the file ends before its grids do; copy or write it again");
+        }
+    }
+
+    // OpenVDB warns on the terminal of every file that is newer than itself, so the version that it is shown is
+    // one that it knows: 225 adds grids of a type to what 224 has.
+    void openHeader()
+    {
+        std::string header(kVdbHeaderBytes, '\0');
+        mStream.read(header.data(), static_cast<std::streamsize>(header.size()));
+        const std::uint32_t version = std::min(mDirectory.fileVersion, openvdb::OPENVDB_FILE_VERSION);
+        std::memcpy(header.data() + kVdbVersionPosition, &version, sizeof(version));
+        std::istringstream shown(header);
+        readHeader(shown);
+        openvdb::io::setStreamMetadataPtr(mStream, mStreamMetadata, /*transfer=*/false);
+        setFormatVersion(mStream);
+        setLibraryVersion(mStream);
+        setDataCompression(mStream);
+    }
+
+    std::uint64_t position() { return static_cast<std::uint64_t>(mStream.tellg()); }
+
+    const VdbEntry& entryOf(const std::string& uniqueName) const
+    {
+        for (const VdbEntry& entry : entries()) {
+            if (entry.uniqueName == uniqueName) return entry;
+        }
+        throw InputError(mPath + ": damaged: a grid shares the tree of " + quoted(uniqueName) +
+                         ", which the file does not have; write the file again");
+    }
+
+    openvdb::GridBase::Ptr readEntry(const VdbEntry& entry)
+    {
+        openvdb::GridBase::Ptr grid;
+        failTruncated([&] {
+            mStream.seekg(static_cast<std::streamoff>(entry.position));
+            GridDescriptor descriptor;
+            grid = descriptor.read(mStream);
+            mStream.seekg(static_cast<std::streamoff>(entry.gridBegin));
+            readGrid(grid, descriptor, mStream);
+        });
+        if (position() != entry.gridEnd) {
+            throw InputError(mPath + ": damaged: grid " + quoted(entry.uniqueName) + " was read up to byte " +
+                             std::to_string(position()) + ", and the directory says that it ends at byte " +
+                             std::to_string(entry.gridEnd) + "; write the file again");
+        }
+        return grid;
+    }
+
+    // Such a file tells nowhere where a grid ends; the last one ends with the file.
     void readStream()
     {
-        std::ifstream file(mPath, std::ios::binary);
-        file.exceptions(std::ios::badbit | std::ios::failbit | std::ios::eofbit);
-        try {
-            openvdb::io::Stream stream(file, /*delayLoad=*/false);
-            mMetadata = stream.getMetadata();
-            mStreamGrids = stream.getGrids();
-        } catch (const std::ios::failure&) {
-            throw InputError(mPath +
-                             ": truncated: the file ends before its grids do; copy or write it again");
-        }
-        std::map<std::string, int> seen;
-        for (const openvdb::GridBase::Ptr& grid : *mStreamGrids) {
+        std::vector<GridDescriptor> descriptors;
+        NamedGridMap named;
+        for (std::int32_t left = readGridCount(mStream); left > 0; --left) {
+            GridDescriptor descriptor;
+            const openvdb::GridBase::Ptr grid = descriptor.read(mStream);
+            readGrid(grid, descriptor, mStream);
             VdbEntry entry;
-            const int number = seen[grid->getName()]++;
-            entry.uniqueName = number ? GridDescriptor::addSuffix(grid->getName(), number) : grid->getName();
+            entry.uniqueName = descriptor.uniqueName();
             entry.gridType = grid->type();
-            entry.compression = openvdb::io::getDataCompression(file);
+            entry.compression = openvdb::io::getDataCompression(mStream);
             mDirectory.entries.push_back(entry);
+            mStreamGrids.push_back(grid);
+            named[descriptor.uniqueName()] = grid;
+            descriptors.push_back(descriptor);
         }
+        for (const GridDescriptor& descriptor : descriptors) connectInstance(descriptor, named);
+        if (position() == mDirectory.fileBytes) return;
+        throw InputError(mPath + ": damaged: its grids were read up to byte " + std::to_string(position()) +
+                         " of " + std::to_string(mDirectory.fileBytes) + "; write the file again");
     }
 
     std::string mPath;
     VdbDirectory mDirectory;
-    openvdb::io::File mFile;
-    openvdb::MetaMap::Ptr mMetadata;
-    openvdb::GridPtrVecPtr mStreamGrids;
+    std::ifstream mStream;
+    openvdb::io::StreamMetadata::Ptr mStreamMetadata = std::make_shared<openvdb::io::StreamMetadata>();
+    openvdb::MetaMap mMetadata;
+    openvdb::GridPtrVec mStreamGrids;
 };
 
 // Lends the leaves of a grid attribute sets of their own, which share the arrays, so that an attribute may be

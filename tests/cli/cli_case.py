@@ -53,6 +53,10 @@ class CliCase(unittest.TestCase):
     def fixture(self, name):
         return os.path.join(fixtures(), name)
 
+    def data(self, name):
+        """A file that is kept with the tests, as another program wrote it."""
+        return os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "data", name)
+
     def npy(self, name, positions, dtype=np.float32):
         np.save(self.path(name), np.asarray(positions, dtype=dtype))
         return self.path(name)

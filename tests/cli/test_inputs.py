@@ -40,6 +40,32 @@ class BadFiles(CliCase):
                 cut = self.text("cut.vdb", data[:size])
                 self.fails(3, "search", cut, "-r", "0.1", "-o", self.path("out.npz"), says="cut.vdb")
 
+    def test_vdb_of_other_versions(self):
+        with open(self.scene(), "rb") as file:
+            data = file.read()
+        self.assertIn(data[8], (224, 225))
+
+        def of_version(version):
+            return self.text("version.vdb", data[:8] + struct.pack("<I", version) + data[12:])
+
+        for version in (222, 223):  # a volume: point grids came later
+            self.rejects(of_version(version), f"version {version}, which has no point grids")
+        for version in (226, 300):
+            self.rejects(of_version(version), f"version {version}", "224 to 225", "write the file again")
+
+    def test_vdb_with_bytes_behind_its_grids(self):
+        with open(self.scene(), "rb") as file:
+            self.rejects(self.text("more.vdb", file.read() + b"\0\0\0"), "damaged: 3 bytes follow")
+
+    def test_vdb_whose_tree_has_lost_its_root(self):
+        # One bit: the root node has no child any more. OpenVDB reads that as a grid without points.
+        with open(self.scene(), "rb") as file:
+            data = bytearray(file.read())
+        root = struct.pack("<4I", 1, 0, 0, 1)  # a buffer, background, tiles, children
+        self.assertEqual(data.count(root), 1)
+        data[data.index(root) + 12] = 0
+        self.rejects(self.text("rootless.vdb", bytes(data)), "damaged: grid 'points' was read up to byte", "write")
+
     def test_unsupported_grids(self):
         self.rejects(self.fixture("frustum.vdb"), "points")
         self.rejects(self.fixture("p_vec3d.vdb"), "vec3d")
@@ -115,6 +141,27 @@ class BadFiles(CliCase):
         self.rejects(self.text("count.xyz", "3\n0 0 0\n1 0 0\n5 0 0\n"))
         self.rejects(self.text("words.xyz", "0 0 0\nC 1 0\n"))
         self.rejects(self.text("two.xyz", "0 0 0\n1 0\n"))
+
+
+class OpenVdb13(CliCase):
+    """Files that OpenVDB 13.0.1 wrote: file version 225, whatever OpenVDB is linked here."""
+
+    def test_read_and_written(self):
+        for name, points, pairs, checksum in (("openvdb13_dam_break_3000.vdb", 3000, 70558, "f8698556475faefd"),
+                                              ("openvdb13_spray_fx16.vdb", 2000, 47236, "1176a6a9a05023a9")):
+            with self.subTest(name):
+                path, lists, out = self.data(name), self.path(name + ".npz"), self.path("out_" + name)
+                done = self.succeeds("info", path)
+                self.assertIn(f"{points}, 0 not finite", done.out)
+                self.assertEqual(done.err, "")  # OpenVDB 10 to 12 warn of what is newer
+                done = self.succeeds("search", path, "--checksum", "-o", lists, "-o", out)
+                self.assertRegex(done.err, "^vdb_nns: [^\n]* suggests the radius 0.2\n$")
+                for searched in (path, out):
+                    result = self.report("search", searched, "--checksum")["result"]
+                    self.assertEqual((result["pairs"], result["checksum"]), (pairs, checksum))
+                self.succeeds("verify", path, lists)
+                attributes = self.report("info", out)["attributes"]
+                self.assertEqual([a["name"] for a in attributes][-1], "nns_count")
 
 
 class Extremes(CliCase):
