@@ -62,6 +62,10 @@ class CliCase(unittest.TestCase):
             file.write(content)
         return self.path(name)
 
+    def bytes(self, path):
+        with open(path, "rb") as file:
+            return file.read()
+
     def scene(self, name="block", count=2000, *more):
         path = self.path(name + ".vdb")
         self.succeeds("scene", name, "-n", count, "-o", path, "-q", *more)

@@ -62,6 +62,17 @@ private:
 
 } // namespace
 
+bool openStandardStreams()
+{
+    for (int descriptor = 0; descriptor <= 2; ++descriptor) {
+        if (::fcntl(descriptor, F_GETFD) >= 0) continue;
+        if (::open("/dev/null", O_RDWR) == descriptor) continue; // the lowest number that is free
+        std::perror("vdb_nns: error: /dev/null");
+        return false;
+    }
+    return true;
+}
+
 void writeWholeFile(const std::string& path, const void* data, std::size_t bytes, bool overwrite)
 {
     checkOutput(path, overwrite);
