@@ -203,7 +203,7 @@ public:
     const ParticleView& view() const override { return mView; }
     void describe(PointFileInfo& info) const override;
     void write(const std::string& path, Span<const std::uint32_t> counts, const std::string& attribute,
-               bool overwrite, Progress* progress) const override;
+               const OutputOptions& options, Progress* progress) const override;
 
 private:
     std::vector<openvdb::GridBase::Ptr> readOtherGrids(Archive& archive, const CancelCheck& cancel) const;
@@ -261,15 +261,15 @@ std::vector<openvdb::GridBase::Ptr> LoadedVdb::readOtherGrids(Archive& archive,
 }
 
 void LoadedVdb::write(const std::string& path, Span<const std::uint32_t> counts, const std::string& attribute,
-                      bool overwrite, Progress* progress) const
+                      const OutputOptions& options, Progress* progress) const
 {
     const CancelCheck cancel(progress, "write");
     cancel.update(0);
     const std::lock_guard<std::mutex> lock(mLoanMutex);
     const AttributeLoan loan(*mGrid);
-    setPointAttribute(*mGrid, attribute, counts, overwrite);
+    setPointAttribute(*mGrid, attribute, counts, options.overwrite);
 
-    OutputFile file(path, overwrite);
+    OutputFile file(path, options);
     SeekableArchive out;
     openvdb::GridCPtrVec grids;
     openvdb::MetaMap metadata;

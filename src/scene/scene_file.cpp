@@ -106,11 +106,11 @@ public:
 
 } // namespace
 
-void writeScene(const std::string& path, const Scene& scene, const SceneOptions& options, bool overwrite,
-                Progress* progress)
+void writeScene(const std::string& path, const Scene& scene, const SceneOptions& options,
+                const OutputOptions& output, Progress* progress)
 {
     checkRange(scene);
-    OutputFile file(path, overwrite);
+    OutputFile file(path, output);
     openvdb::initialize();
     checkCancel(progress);
     const PointDataGrid::Ptr grid = makeGrid(VoxelPositions(scene.positions, scene.voxelSize), options.codec);

@@ -32,6 +32,12 @@ def fixtures():
     return _fixtures.name
 
 
+def watched(**variables):
+    """The environment of a program whose system calls are watched: see watch_calls.cpp."""
+    library = os.path.join(os.path.dirname(os.path.abspath(MAKE_FIXTURES)), "libvdb_nns_watch_calls.so")
+    return dict(os.environ, LD_PRELOAD=library, **variables)
+
+
 def limit_file_size(size):
     """For preexec_fn: files cannot grow past `size` bytes."""
     return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))

@@ -2,7 +2,7 @@
 #include "cli_app.h"
 #include "exit_codes.h"
 #include "signals.h"
-#include "text_file.h"
+#include "standard_streams.h"
 
 int main(int argc, char** argv)
 {
