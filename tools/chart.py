@@ -4,8 +4,8 @@
     tools/chart.py OUT.html BENCH.json [BENCH.json ...] [--images FOLDER]
 
 Several reports are merged: several scenes, or the stability of one run beside the speed of another; of what
-is there twice the last counts. The same reports give the same bytes. Needs Matplotlib (3.6 or later) and
-nothing else.
+is there twice the last counts. OUT.html may be `-`, standard output. The same reports give the same bytes. Needs
+Matplotlib (3.6 or later) and nothing else.
 
 exit: 0 done · 2 a report that cannot be read or is none, or bad flags · 3 no Matplotlib · 6 something cannot
 be written
@@ -23,8 +23,14 @@ from charts import report as reports
 BAD_INPUT, NO_MATPLOTLIB, NOT_WRITTEN = 2, 3, 6
 
 
+def say(sentence):
+    """Names and paths may hold what does something to a terminal."""
+    visible = "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(sentence))
+    print(f"chart.py: {visible}", file=sys.stderr)
+
+
 def fail(code, sentence):
-    print(f"chart.py: {sentence}", file=sys.stderr)
+    say(sentence)
     sys.exit(code)
 
 
@@ -71,11 +77,14 @@ def main():
             raise
         fail(NO_MATPLOTLIB, "matplotlib is missing; install python3-matplotlib")
     for note in report.notes:
-        print(f"chart.py: {note}", file=sys.stderr)
+        say(note)
     html, charts = page.build(report)
     if options.images:
         write_images(options.images, charts)
-    write(options.output, html)
+    if options.output == "-":
+        sys.stdout.buffer.write(html.encode("utf-8", "replace"))
+    else:
+        write(options.output, html)
 
 
 if __name__ == "__main__":

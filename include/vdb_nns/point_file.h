@@ -2,6 +2,7 @@
 #pragma once
 
 #include "vdb_nns/neighbor_lists.h"
+#include "vdb_nns/output.h"
 #include "vdb_nns/particle_view.h"
 #include "vdb_nns/progress.h"
 #include "vdb_nns/types.h"
@@ -58,13 +59,12 @@ public:
 
     /// Writes the same .vdb file with result attributes added: other grids and the file's metadata are copied, name,
     /// transform, metadata, codecs and attributes stay untouched, P is not encoded again.
-    /// The file appears whole or not at all (temporary name beside the target, then rename).
     /// @param counts one value a point, written as int32 attribute `prefix + "count"`.
-    /// @param overwrite whether an existing file, or an attribute of that name, may be replaced.
+    /// @param options `overwrite` goes for an attribute of that name too.
     /// @throws InvalidInput if this is not a .vdb file, counts has the wrong size, or the attribute exists
     /// @throws OutputExists, OutputError, Cancelled
     void writeVdb(const std::string& path, Span<const std::uint32_t> counts, const std::string& prefix,
-                  bool overwrite, Progress* progress = nullptr) const;
+                  const OutputOptions& options = {}, Progress* progress = nullptr) const;
 
     struct Data;
 
@@ -80,11 +80,10 @@ enum class ListValues {
 
 /// Writes lists as a SciPy CSR matrix: a stored ZIP whose members indptr (int64), indices (int32, or int64 past
 /// 2^31-1 particles; ascending in each row), data, shape (int64[2]) and format (|S3) start on 64-byte boundaries.
-/// Streams: memory does not grow with the lists. The same lists give the same bytes. The file appears whole or not at
-/// all.
+/// Streams: memory does not grow with the lists. The same lists give the same bytes.
 /// @throws OutputExists, OutputError (before anything is written, where the disk has not the room), Cancelled
-void writeNpz(const std::string& path, const NeighborLists& lists, ListValues values, bool overwrite,
-              Progress* progress = nullptr);
+void writeNpz(const std::string& path, const NeighborLists& lists, ListValues values,
+              const OutputOptions& options = {}, Progress* progress = nullptr);
 
 /// Writes the file that writeNpz() would write, of lists that no memory has to hold: the rows are made once more
 /// (SearchEngine::visitRows) and go to their place in the file as they come.
@@ -99,12 +98,7 @@ void writeNpz(const std::string& path, const NeighborLists& lists, ListValues va
 /// @throws OutputExists, OutputError (also before anything is written, where the disk has not the room), Cancelled, and what
 ///         SearchEngine::visitRows() throws
 void writeNpzDirect(const std::string& path, SearchEngine& engine, const NeighborLists& counts,
-                    ListValues values, bool overwrite, std::uint64_t bufferBytes = 0,
+                    ListValues values, const OutputOptions& output = {}, std::uint64_t bufferBytes = 0,
                     const SearchOptions& options = {});
-
-/// Fails early, before a long search, if `path` could not be written: it exists and overwriting was not asked for, it
-/// is not a regular file, or its folder does not exist.
-/// @throws OutputExists, OutputError
-void checkOutput(const std::string& path, bool overwrite);
 
 } // namespace vdb_nns

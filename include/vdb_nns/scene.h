@@ -1,6 +1,7 @@
 // Sample scenes: deterministic particle sets for tests, benchmarks and first steps.
 #pragma once
 
+#include "vdb_nns/output.h"
 #include "vdb_nns/progress.h"
 #include "vdb_nns/types.h"
 
@@ -45,10 +46,9 @@ const std::vector<SceneName>& sceneNames();
 Scene makeScene(const SceneOptions& options, Progress* progress = nullptr);
 
 /// Writes a scene as a .vdb with one point grid named `points`, P with `options.codec`, and the radius in the grid's
-/// metadata (float64 `suggested_radius`). The file appears whole or not at all; the same options give the same bytes but
-/// for the UUID that OpenVDB draws.
+/// metadata (float64 `suggested_radius`). The same options give the same bytes but for the UUID that OpenVDB draws.
 /// @throws OutputExists, OutputError, InvalidInput (unknown codec), Cancelled
-void writeScene(const std::string& path, const Scene& scene, const SceneOptions& options, bool overwrite,
-                Progress* progress = nullptr);
+void writeScene(const std::string& path, const Scene& scene, const SceneOptions& options,
+                const OutputOptions& output = {}, Progress* progress = nullptr);
 
 } // namespace vdb_nns

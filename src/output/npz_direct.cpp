@@ -331,11 +331,11 @@ private:
 } // namespace
 
 void writeNpzRowsDirect(const std::string& path, const NpzRowSource& source, ListValues values,
-                        bool overwrite, std::size_t threadBytes, Progress* progress)
+                        const OutputOptions& output, std::size_t threadBytes, Progress* progress)
 {
     const CancelCheck cancel(progress, "write");
     cancel.update(0);
-    OutputFile file(path, overwrite);
+    OutputFile file(path, output);
     const RowPlaces places(source.counts());
     NpzLayout layout = beginNpz(places.size(), source.pairCount(), values);
     requireRoom(file, layout);
@@ -351,13 +351,13 @@ void writeNpzRowsDirect(const std::string& path, const NpzRowSource& source, Lis
 }
 
 void writeNpzDirect(const std::string& path, SearchEngine& engine, const NeighborLists& counts,
-                    ListValues values, bool overwrite, std::uint64_t bufferBytes,
+                    ListValues values, const OutputOptions& output, std::uint64_t bufferBytes,
                     const SearchOptions& options)
 {
     const auto threads = static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());
     const std::uint64_t threadBytes =
         bufferBytes ? std::min(bufferBytes / threads, kMostThreadBytes) : kThreadBytes;
-    writeNpzRowsDirect(path, SearchRows(engine, counts, options), values, overwrite,
+    writeNpzRowsDirect(path, SearchRows(engine, counts, options), values, output,
                        static_cast<std::size_t>(threadBytes), options.progress);
 }
 

@@ -224,25 +224,25 @@ private:
 
 } // namespace
 
-void writeNpzRows(const std::string& path, const NpzRows& rows, ListValues values, bool overwrite,
-                  Progress* progress)
+void writeNpzRows(const std::string& path, const NpzRows& rows, ListValues values,
+                  const OutputOptions& options, Progress* progress)
 {
     const CancelCheck cancel(progress, "write");
     cancel.update(0);
-    OutputFile file(path, overwrite);
+    OutputFile file(path, options);
     isolated([&] { NpzStream(file, rows, values, cancel).write(); });
     cancel.update(1);
     file.commit();
 }
 
-void writeNpz(const std::string& path, const NeighborLists& lists, ListValues values, bool overwrite,
-              Progress* progress)
+void writeNpz(const std::string& path, const NeighborLists& lists, ListValues values,
+              const OutputOptions& options, Progress* progress)
 {
     if (lists.encoding() == Encoding::kNone) {
         throw InvalidInput(path +
                            ": counts alone (encoding none) are no lists; search with encoding index or mask");
     }
-    writeNpzRows(path, ListRows(lists), values, overwrite, progress);
+    writeNpzRows(path, ListRows(lists), values, options, progress);
 }
 
 } // namespace vdb_nns

@@ -52,7 +52,7 @@ public:
 };
 
 // writeNpz() of point_file.h for rows of any origin.
-void writeNpzRows(const std::string& path, const NpzRows& rows, ListValues values, bool overwrite,
-                  Progress* progress);
+void writeNpzRows(const std::string& path, const NpzRows& rows, ListValues values,
+                  const OutputOptions& options, Progress* progress);
 
 } // namespace vdb_nns

@@ -2,16 +2,14 @@
 #include "output/output_file.h"
 
 #include "vdb_nns/error.h"
-#include "vdb_nns/point_file.h"
 
 #include <algorithm>
-#include <atomic>
 #include <cerrno>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <memory>
-#include <optional>
+#include <system_error>
 #include <utility>
 
 #include <fcntl.h>
@@ -27,8 +25,6 @@ namespace {
 constexpr std::size_t kMaxWriteBytes = std::size_t(1) << 30;
 // OpenVDB writes many values of a few bytes.
 constexpr std::size_t kStreamBufferBytes = std::size_t(4) << 20;
-// Leaves room for the suffix within the 255 bytes of a file name.
-constexpr std::size_t kMaxBaseNameBytes = 200;
 
 std::string nextStep(int error)
 {
@@ -100,14 +96,22 @@ Target resolveTarget(const std::string& path, bool overwrite)
     return {resolved, static_cast<unsigned>(status.st_mode & 07777)};
 }
 
-// Unique within the machine at one time: process, and a count within the process.
-std::string temporarySuffix()
-{
-    static std::atomic<unsigned> sCount{0};
-    char text[32];
-    std::snprintf(text, sizeof text, ".tmp-%x-%x", static_cast<unsigned>(::getpid()), sCount.fetch_add(1));
-    return text;
-}
+// Closed at the end.
+class Descriptor {
+public:
+    explicit Descriptor(int number) : mNumber(number) {}
+    ~Descriptor()
+    {
+        if (mNumber >= 0) ::close(mNumber);
+    }
+    Descriptor(const Descriptor&) = delete;
+    Descriptor& operator=(const Descriptor&) = delete;
+
+    int number() const { return mNumber; }
+
+private:
+    int mNumber;
+};
 
 } // namespace
 
@@ -118,50 +122,27 @@ void checkOutput(const std::string& path, bool overwrite)
         failOutput(path, "its folder cannot be written to", errno);
 }
 
-OutputFile::OutputFile(const std::string& path, bool overwrite) : mPath(path), mOverwrite(overwrite)
+OutputFile::OutputFile(const std::string& path, const OutputOptions& options) : mPath(path), mOptions(options)
 {
-    const Target target = resolveTarget(path, overwrite);
+    const Target target = resolveTarget(path, options.overwrite);
     mTarget = target.path;
-    createTemporary(target.mode.value_or(0666));
+    try {
+        mTemporary.emplace(mTarget, target.mode.value_or(0666));
+    } catch (const std::system_error& error) {
+        failOutput(mPath, "cannot be created", error.code().value());
+    }
     // A new file takes the process's umask, a replaced one keeps the permissions it had, as far as that is
     // allowed.
-    if (target.mode && ::fchmod(mDescriptor, *target.mode) != 0 && errno != EPERM) {
-        const int error = errno;
-        ::close(mDescriptor);
-        ::unlink(mTemporary.c_str());
-        failOutput(mPath, "permissions cannot be set", error);
-    }
-}
-
-OutputFile::~OutputFile()
-{
-    if (mDescriptor >= 0) ::close(mDescriptor);
-    if (!mTemporary.empty()) ::unlink(mTemporary.c_str());
-}
-
-void OutputFile::createTemporary(unsigned mode)
-{
-    const std::size_t slash = mTarget.rfind('/');
-    const std::size_t nameStart = slash == std::string::npos ? 0 : slash + 1;
-    const std::string stem = mTarget.substr(0, nameStart) + mTarget.substr(nameStart, kMaxBaseNameBytes);
-    for (int attempt = 0; attempt < 1000; ++attempt) {
-        const std::string name = stem + temporarySuffix();
-        mDescriptor = ::open(name.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, mode);
-        if (mDescriptor >= 0) {
-            mTemporary = name;
-            return;
-        }
-        if (errno != EEXIST) failOutput(mPath, "cannot be created", errno);
-    }
-    failOutput(mPath, "no free temporary name beside it", EEXIST);
+    if (target.mode && ::fchmod(mTemporary->descriptor(), *target.mode) != 0 && errno != EPERM)
+        failOutput(mPath, "permissions cannot be set", errno);
 }
 
 void OutputFile::writeAt(std::uint64_t offset, const void* data, std::size_t bytes)
 {
     const char* next = static_cast<const char*>(data);
     while (bytes > 0) {
-        const ssize_t written =
-            ::pwrite(mDescriptor, next, std::min(bytes, kMaxWriteBytes), static_cast<off_t>(offset));
+        const ssize_t written = ::pwrite(mTemporary->descriptor(), next, std::min(bytes, kMaxWriteBytes),
+                                         static_cast<off_t>(offset));
         if (written < 0) {
             if (errno == EINTR) continue;
             failOutput(mPath, "writing failed at byte " + std::to_string(offset), errno);
@@ -177,7 +158,8 @@ void OutputFile::requireRoom(std::uint64_t bytes) const
 {
     struct statvfs status {};
     // Some file systems do not know their size: the disk is full there when a write says so.
-    if (::fstatvfs(mDescriptor, &status) != 0 || status.f_blocks == 0 || status.f_frsize == 0) return;
+    if (::fstatvfs(mTemporary->descriptor(), &status) != 0 || status.f_blocks == 0 || status.f_frsize == 0)
+        return;
     const std::uint64_t freeBytes = std::uint64_t(status.f_bavail) * status.f_frsize;
     if (bytes <= freeBytes) return;
     throw OutputError(mPath + ": needs " + std::to_string(bytes) + " bytes, and its disk has " +
@@ -186,27 +168,46 @@ void OutputFile::requireRoom(std::uint64_t bytes) const
 
 void OutputFile::commit()
 {
-    const int descriptor = mDescriptor;
-    mDescriptor = -1;
-    if (::close(descriptor) != 0 && errno != EINTR) failOutput(mPath, "closing failed", errno);
+    // Network file systems tell at a close what could not be written. The temporary itself stays open: it is held until it
+    // has its name.
+    const int copy = ::fcntl(mTemporary->descriptor(), F_DUPFD_CLOEXEC, 0);
+    if (copy < 0 || (::close(copy) != 0 && errno != EINTR)) failOutput(mPath, "closing failed", errno);
+    if (!mOptions.sync) return replaceTarget();
+    const Descriptor folder(::open(folderOf(mTarget).c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+    if (folder.number() < 0) failOutput(mPath, "its folder cannot be opened to flush it to the disk", errno);
+    flush(mTemporary->descriptor(), "flushing it to the disk failed");
     replaceTarget();
-    mTemporary.clear();
+    flush(folder.number(), "flushing its folder to the disk failed");
+}
+
+void OutputFile::flush(int descriptor, const char* what) const
+{
+    if (::fsync(descriptor) != 0) failOutput(mPath, what, errno);
 }
 
 void OutputFile::replaceTarget()
 {
-    if (!mOverwrite) {
-        if (::renameat2(AT_FDCWD, mTemporary.c_str(), AT_FDCWD, mTarget.c_str(), RENAME_NOREPLACE) == 0)
-            return;
-        if (errno == EEXIST) {
+    const char* const from = mTemporary->name().c_str();
+    bool isRenamed = false;
+    if (!mOptions.overwrite) {
+        isRenamed = ::renameat2(AT_FDCWD, from, AT_FDCWD, mTarget.c_str(), RENAME_NOREPLACE) == 0;
+        if (!isRenamed && errno == EEXIST) {
             throw OutputExists(mPath + ": came into being while it was written; choose another name");
         }
         // Some network file systems know no such flag.
-        if (errno != EINVAL && errno != ENOSYS) failOutput(mPath, "renaming the finished file failed", errno);
+        if (!isRenamed && errno != EINVAL && errno != ENOSYS)
+            failOutput(mPath, "renaming the finished file failed", errno);
     }
-    if (::rename(mTemporary.c_str(), mTarget.c_str()) != 0) {
+    if (!isRenamed && ::rename(from, mTarget.c_str()) != 0)
         failOutput(mPath, "renaming the finished file failed", errno);
-    }
+    mTemporary->setRenamed();
+}
+
+void writeFile(const std::string& path, const void* data, std::size_t bytes, const OutputOptions& options)
+{
+    OutputFile file(path, options);
+    file.writeAt(0, data, bytes);
+    file.commit();
 }
 
 OutputStreamBuffer::OutputStreamBuffer(OutputFile& file, std::function<void(std::uint64_t)> onWrite)

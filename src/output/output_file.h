@@ -4,12 +4,16 @@
 // A process that may run into a file size limit must ignore SIGXFSZ (the command line program does): the
 // write then fails with EFBIG and becomes an OutputError. The library changes no signal dispositions. On
 // SIGINT and SIGTERM a caller lets its Progress ask to stop; `Cancelled` unwinds through here and the
-// temporary is removed.
+// temporary is removed. Before a signal ends the process, its handler calls removeTemporaryFiles().
 #pragma once
+
+#include "output/temporary_file.h"
+#include "vdb_nns/output.h"
 
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <optional>
 #include <streambuf>
 #include <string>
 #include <vector>
@@ -21,12 +25,7 @@ public:
     // Checks the target as checkOutput() does and creates the temporary. A symbolic link to a regular file is
     // followed: the file it leads to is replaced, the link stays.
     // @throws OutputExists, OutputError
-    OutputFile(const std::string& path, bool overwrite);
-
-    // Removes the temporary unless commit() was reached.
-    ~OutputFile();
-    OutputFile(const OutputFile&) = delete;
-    OutputFile& operator=(const OutputFile&) = delete;
+    OutputFile(const std::string& path, const OutputOptions& options);
 
     // Writes at a place of the file, past its end too. Thread-safe.
     // @throws OutputError
@@ -36,22 +35,21 @@ public:
     // take that room all the same.
     void requireRoom(std::uint64_t bytes) const;
 
-    // Closes the temporary and renames it to the target.
+    // Renames the temporary to the target. Without it the temporary is removed at the end.
     // @throws OutputError, OutputExists when the target came into being meanwhile and may not be overwritten
     void commit();
 
     const std::string& path() const { return mPath; }
-    const std::string& temporaryPath() const { return mTemporary; }
+    const std::string& temporaryPath() const { return mTemporary->name(); }
 
 private:
-    void createTemporary(unsigned mode);
     void replaceTarget();
+    void flush(int descriptor, const char* what) const;
 
     std::string mPath;   // as the caller gave it, for messages
     std::string mTarget; // after symbolic links
-    std::string mTemporary;
-    bool mOverwrite;
-    int mDescriptor = -1;
+    OutputOptions mOptions;
+    std::optional<TemporaryFile> mTemporary;
 };
 
 // Buffers an OutputFile for writers that want a seekable std::ostream. Errors leave as OutputError through a

@@ -287,14 +287,14 @@ const PointFileInfo& PointFile::info() const
 }
 
 void PointFile::writeVdb(const std::string& path, Span<const std::uint32_t> counts, const std::string& prefix,
-                         bool overwrite, Progress* progress) const
+                         const OutputOptions& options, Progress* progress) const
 {
     if (!mData->vdb) {
         throw InvalidInput(mData->info.path +
                            ": result attributes are written to .vdb files only, and this is a ." +
                            mData->info.format + " file; write lists (.npz) instead");
     }
-    isolated([&] { mData->vdb->write(path, counts, prefix + "count", overwrite, progress); });
+    isolated([&] { mData->vdb->write(path, counts, prefix + "count", options, progress); });
 }
 
 } // namespace vdb_nns

@@ -274,7 +274,7 @@ public:
     const ParticleView& view() const override { return mView; }
     void describe(PointFileInfo& info) const override;
     void write(const std::string& path, Span<const std::uint32_t> counts, const std::string& attribute,
-               bool overwrite, Progress* progress) const override;
+               const OutputOptions& options, Progress* progress) const override;
 
 private:
     points::PointDataGrid::Ptr readChosen(Archive& archive) const;
@@ -340,7 +340,7 @@ std::vector<openvdb::GridBase::Ptr> LoadedVdb::readOtherGrids(Archive& archive,
 }
 
 void LoadedVdb::write(const std::string& path, Span<const std::uint32_t> counts, const std::string& attribute,
-                      bool overwrite, Progress* progress) const
+                      const OutputOptions& options, Progress* progress) const
 {
     const CancelCheck cancel(progress, "write");
     cancel.update(0);
@@ -358,9 +358,9 @@ void LoadedVdb::write(const std::string& path, Span<const std::uint32_t> counts,
     } else {
         guardRead(mPath, [&] { own = readChosen(*archive); });
     }
-    setPointAttribute(*own, attribute, counts, overwrite);
+    setPointAttribute(*own, attribute, counts, options.overwrite);
 
-    OutputFile file(path, overwrite);
+    OutputFile file(path, options);
     SeekableArchive out;
     openvdb::GridCPtrVec grids;
     for (const openvdb::GridBase::Ptr& grid : readOtherGrids(*archive, own, cancel)) grids.push_back(grid);

@@ -27,7 +27,8 @@ public:
 
     // As PointFile::writeVdb(). Other grids are read from the file again, so it must still be there.
     virtual void write(const std::string& path, Span<const std::uint32_t> counts,
-                       const std::string& attribute, bool overwrite, Progress* progress) const = 0;
+                       const std::string& attribute, const OutputOptions& options,
+                       Progress* progress) const = 0;
 };
 
 } // namespace vdb_nns

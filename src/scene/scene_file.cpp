@@ -103,12 +103,12 @@ public:
     }
 };
 
-void writeSceneFile(const std::string& path, const Scene& scene, const SceneOptions& options, bool overwrite,
-                    Progress* progress)
+void writeSceneFile(const std::string& path, const Scene& scene, const SceneOptions& options,
+                    const OutputOptions& output, Progress* progress)
 {
     const CancelCheck cancel(progress, "write");
     checkRange(scene);
-    OutputFile file(path, overwrite);
+    OutputFile file(path, output);
     openvdb::initialize();
     cancel.check();
     const PointDataGrid::Ptr grid =
@@ -129,10 +129,10 @@ void writeSceneFile(const std::string& path, const Scene& scene, const SceneOpti
 
 } // namespace
 
-void writeScene(const std::string& path, const Scene& scene, const SceneOptions& options, bool overwrite,
-                Progress* progress)
+void writeScene(const std::string& path, const Scene& scene, const SceneOptions& options,
+                const OutputOptions& output, Progress* progress)
 {
-    isolated([&] { writeSceneFile(path, scene, options, overwrite, progress); });
+    isolated([&] { writeSceneFile(path, scene, options, output, progress); });
 }
 
 } // namespace vdb_nns

@@ -32,6 +32,12 @@ def fixtures():
     return _fixtures.name
 
 
+def watched(**variables):
+    """The environment of a program whose system calls are watched: see watch_calls.cpp."""
+    library = os.path.join(os.path.dirname(os.path.abspath(MAKE_FIXTURES)), "libvdb_nns_watch_calls.so")
+    return dict(os.environ, LD_PRELOAD=library, **variables)
+
+
 def limit_file_size(size):
     """For preexec_fn: files cannot grow past `size` bytes."""
     return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
@@ -65,6 +71,10 @@ class CliCase(unittest.TestCase):
         with open(self.path(name), "w" if isinstance(content, str) else "wb") as file:
             file.write(content)
         return self.path(name)
+
+    def bytes(self, path):
+        with open(path, "rb") as file:
+            return file.read()
 
     def scene(self, name="block", count=2000, *more):
         path = self.path(name + ".vdb")

@@ -1,4 +1,5 @@
-"""SIGINT and SIGTERM: the exit code says which, and no file is left behind."""
+"""Signals: the exit code says which, and no file is left behind; what is left when nothing can be done goes with the next
+run."""
 import os
 import signal
 import subprocess
@@ -12,11 +13,7 @@ class Interrupt(CliCase):
     def stop(self, number, code, at_percent, *args):
         """Sends a signal once the progress has passed a percentage."""
         before = sorted(os.listdir(self.folder))
-        with subprocess.Popen([cli_case.BINARY, *args, "--progress", "always"], stdout=subprocess.PIPE,
-                              stderr=subprocess.PIPE, text=True) as process:
-            for line in process.stderr:
-                if line.startswith("PROGRESS") and int(line[9:-2]) >= at_percent:
-                    break
+        with self.start(at_percent, *args) as process:
             start = time.monotonic()
             process.send_signal(number)
             rest = process.stderr.read()
@@ -24,22 +21,94 @@ class Interrupt(CliCase):
             process.wait()
         self.assertEqual(process.returncode, code, rest)
         self.assertLess(time.monotonic() - start, 10)
-        self.assertIn("SIGINT" if number == signal.SIGINT else "SIGTERM", rest)
+        self.assertIn(signal.Signals(number).name, rest)
         self.assertNotIn("PROGRESS 100%", rest)
         self.assertEqual(sorted(os.listdir(self.folder)), before)
+
+    def start(self, at_percent, *args, **options):
+        """The program, once its progress has passed a percentage."""
+        process = subprocess.Popen([cli_case.BINARY, *args, "--progress", "always"], stdout=subprocess.PIPE,
+                                   stderr=subprocess.PIPE, text=True, **options)
+        for line in process.stderr:
+            if line.startswith("PROGRESS") and int(line[9:-2]) >= at_percent:
+                break
+        return process
 
     def test_while_searching(self):
         path = self.scene("block", 100000)
         args = ["search", path, "-o", self.path("x.npz"), "--json", self.path("x.json"), "--repeat", "2000"]
         self.stop(signal.SIGINT, 130, 21, *args)
         self.stop(signal.SIGTERM, 143, 21, *args)
+        self.stop(signal.SIGHUP, 129, 21, *args)
 
-    def test_while_writing(self):
+    def long_writing(self):
+        """A search whose lists take far longer to write than a signal to arrive: about 180 neighbors a particle."""
         path = self.scene("block", 100000)
         radius = repr(3.5 * self.report("info", path)["suggested_radius"] / 2)
-        # About 180 neighbors a particle: writing them with distances takes far longer than a signal to arrive.
-        args = ["search", path, "-r", radius, "-o", self.path("x.npz"), "--lists", "distance", "-T", "1"]
-        self.stop(signal.SIGINT, 130, 80, *args)
+        return ["search", path, "-r", radius, "-o", self.path("x.npz"), "--lists", "distance", "-T", "1"]
+
+    def test_while_writing(self):
+        self.stop(signal.SIGINT, 130, 80, *self.long_writing())
+
+    def writing(self, *args):
+        """The program once something is in its file; killed at the end, if it has not ended by itself."""
+        process = self.start(80, *args)
+        self.addCleanup(process.kill)
+        while process.poll() is None and not any(os.path.getsize(self.path(name)) for name in self.temporary_files()):
+            time.sleep(0.001)
+        return process
+
+    def temporary_files(self):
+        return [name for name in os.listdir(self.folder) if name.endswith(".tmp")]
+
+    def test_killed_while_writing(self):
+        """SIGQUIT, and a second signal, kill at once and leave nothing either."""
+        args = self.long_writing()
+        before = sorted(os.listdir(self.folder))
+        for numbers in ([signal.SIGQUIT], [signal.SIGINT, signal.SIGTERM], [signal.SIGHUP, signal.SIGINT]):
+            process = self.writing(*args)
+            process.send_signal(signal.SIGSTOP) # the signals are there together
+            for number in numbers:
+                process.send_signal(number)
+            process.send_signal(signal.SIGCONT)
+            process.communicate()
+            self.assertIn(-process.returncode, numbers)
+            self.assertEqual(sorted(os.listdir(self.folder)), before)
+
+    def test_what_kill_leaves_goes_with_the_next_run(self):
+        args = self.long_writing()
+        before = sorted(os.listdir(self.folder))
+        process = self.writing(*args)
+        process.kill()
+        process.communicate()
+        left = set(os.listdir(self.folder)) - set(before)
+        self.assertEqual(len(left), 1)
+        self.assertRegex(left.pop(), r"^x\.npz\.vdb_nns-[0-9a-f]+-[0-9a-f]+\.tmp$")
+        other = self.text("y.npz.vdb_nns-1-0.tmp", "of another target")
+        self.succeeds(*args, "-q")
+        self.assertEqual(sorted(os.listdir(self.folder)), sorted([*before, "x.npz", os.path.basename(other)]))
+
+    def test_what_a_living_process_writes_is_left_alone(self):
+        args = self.long_writing()
+        process = self.writing(*args, "-f")
+        process.send_signal(signal.SIGSTOP)
+        temporary = self.temporary_files()
+        self.assertEqual(len(temporary), 1)
+        self.succeeds(*args, "-q")
+        os.rename(self.path("x.npz"), self.path("first.npz"))
+        self.assertEqual(self.temporary_files(), temporary)
+        process.send_signal(signal.SIGCONT)
+        process.communicate()
+        self.assertEqual(process.returncode, 0)
+        self.assertEqual(self.bytes(self.path("x.npz")), self.bytes(self.path("first.npz")))
+
+    def test_nohup(self):
+        args = self.long_writing()
+        with self.start(80, *args, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)) as process:
+            process.send_signal(signal.SIGHUP)
+            process.communicate()
+        self.assertEqual(process.returncode, 0)
+        self.assertTrue(os.path.exists(self.path("x.npz")))
 
     def test_while_making_a_scene(self):
         self.stop(signal.SIGTERM, 143, 1, "scene", "clusters", "-n", "20M", "-o", self.path("big.vdb"), "-T", "1")

@@ -6,7 +6,7 @@ import subprocess
 
 import numpy as np
 
-from cli_case import CliCase, limit_file_size, run
+from cli_case import CliCase, limit_file_size, run, watched
 
 
 def without_uuid(path):
@@ -57,6 +57,62 @@ class Targets(CliCase):
         path = self.scene()
         os.mkdir(self.path("closed"), 0o500)
         self.fails(6, "search", path, "-o", self.path("closed/x.npz"), says="x.npz")
+
+    def every_output(self):
+        """A command line for each kind of output, which ends with the flag of its file."""
+        path = self.scene()
+        bench = ["bench", path, "--method", "ours-count", "--repeat", "1", "--sample", "0"]
+        return {"x.npz": ["search", path, "-o"], "x.vdb": ["search", path, "-o"], "x.json": ["search", path, "--json"],
+                "x.svg": ["plan", path, "--svg"], "x.csv": [*bench, "--csv"], "x.raw": [*bench, "--points-out"],
+                "x.html": [*bench, "--study", "methods", "--chart"], "s.vdb": ["scene", "block", "-n", "50", "-o"]}
+
+    def test_links_and_permissions_are_kept(self):
+        os.mkdir(self.path("elsewhere"))
+        outputs = self.every_output()
+        for name, args in outputs.items():
+            target, link = self.text("elsewhere/" + name, "old"), self.path(name)
+            os.chmod(target, 0o600)
+            os.symlink("elsewhere/" + name, link)
+            self.fails(2, *args, link, says=[name, "force"])
+            self.assertEqual(self.bytes(target), b"old")
+            done = run(*args, link, "-f", "-q")
+            if name == "x.html" and done.code == 6 and "python3-matplotlib" in done.err:
+                continue # drawing needs Matplotlib
+            self.assertEqual(done.code, 0, done.err)
+            self.assertTrue(os.path.islink(link), name)
+            self.assertNotEqual(self.bytes(target), b"old", name)
+            self.assertEqual(os.stat(target).st_mode & 0o777, 0o600, name)
+        self.assertEqual(sorted(os.listdir(self.path("elsewhere"))), sorted(outputs))
+
+    def test_what_a_process_of_the_same_number_left(self):
+        for name, args in self.every_output().items():
+            out = self.path(name)
+
+            def leave_some():
+                for count in range(8):
+                    with open(f"{out}.vdb_nns-{os.getpid():x}-{count:x}.tmp", "w"):
+                        pass
+            self.assertIn(run(*args, out, preexec_fn=leave_some).code, (0, 6) if name == "x.html" else (0,))
+            self.assertEqual([left for left in os.listdir(self.folder) if left.endswith(".tmp")], [])
+
+    def test_sync(self):
+        """The file before it has its name, the folder after."""
+        calls, folder = self.path("calls"), os.path.realpath(self.folder)
+        for name, args in self.every_output().items():
+            if name == "x.html":
+                continue # is written as the others are
+            out = os.path.join(folder, name)
+            for force in ([], ["-f"]):
+                self.succeeds(*args, out, "--sync", *force, env=watched(VDB_NNS_CALLS=calls))
+                found = self.bytes(calls).decode().splitlines()
+                os.remove(calls)
+                self.assertEqual(len(found), 3, found)
+                temporary = found[0].split(" ")[1]
+                self.assertTrue(temporary.startswith(out + ".vdb_nns-"))
+                self.assertEqual(found, [f"flush {temporary}", f"rename {temporary} {out}", f"flush {folder}"])
+            self.succeeds(*args, out, "-f", env=watched(VDB_NNS_CALLS=calls))
+            self.assertEqual(len(self.bytes(calls).decode().splitlines()), 1) # no flush unless asked for
+            os.remove(calls)
 
 
 class NoSpace(CliCase):

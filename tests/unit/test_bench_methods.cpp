@@ -174,7 +174,7 @@ TEST(PartMethods, CertifiedIsExactInVoxelsOfAFile)
     for (const char* codec : {"null", "fxpt8"}) {
         options.codec = codec;
         const Scene scene = makeScene(options);
-        writeScene(path, scene, options, true);
+        writeScene(path, scene, options, OutputOptions{true});
         const PointFile file = PointFile::read(path);
         for (const double share : {0.5, 0.7, 0.99, 1.01, 2.5}) {
             const double radius = share * scene.voxelSize;
@@ -299,7 +299,7 @@ TEST(CodecMethods, StoreWhatAFileStores)
     };
     for (const auto codec : {cli::PositionCodec::kFixed8, cli::PositionCodec::kFixed16}) {
         options.codec = codec == cli::PositionCodec::kFixed8 ? "fxpt8" : "fxpt16";
-        writeScene(path, scene, options, true);
+        writeScene(path, scene, options, OutputOptions{true});
         const PointFile file = PointFile::read(path);
         std::vector<Key> stored, computed;
         for (std::size_t i = 0; i < options.count; ++i) {

@@ -20,18 +20,22 @@
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <memory>
 #include <numeric>
 #include <ostream>
 
 #include <fcntl.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
 namespace vdb_nns {
 namespace {
 
 namespace fs = std::filesystem;
+
+constexpr OutputOptions kOverwrite{true};
 
 // A folder of its own for each test, gone at the end.
 class OutputTest : public ::testing::Test {
@@ -66,7 +70,7 @@ protected:
 TEST_F(OutputTest, appearsAtCommitWithTheUsualPermissions)
 {
     {
-        OutputFile file(path("a"), false);
+        OutputFile file(path("a"), {});
         file.writeAt(3, "def", 3);
         file.writeAt(0, "abc", 3);
         EXPECT_FALSE(fs::exists(path("a")));
@@ -83,7 +87,7 @@ TEST_F(OutputTest, appearsAtCommitWithTheUsualPermissions)
 TEST_F(OutputTest, isRemovedWithoutCommit)
 {
     try {
-        OutputFile file(path("a"), false);
+        OutputFile file(path("a"), {});
         file.writeAt(0, "abc", 3);
         throw Cancelled("stop");
     } catch (const Cancelled&) {
@@ -95,9 +99,9 @@ TEST_F(OutputTest, keepsTheOldFileUntilCommitAndItsPermissionsAfter)
 {
     create(path("a"), "old");
     fs::permissions(path("a"), fs::perms(0640));
-    EXPECT_THROW(OutputFile(path("a"), false), OutputExists);
+    EXPECT_THROW(OutputFile(path("a"), {}), OutputExists);
     {
-        OutputFile file(path("a"), true);
+        OutputFile file(path("a"), kOverwrite);
         file.writeAt(0, "new", 3);
         EXPECT_EQ(contents(path("a")), "old");
         file.commit();
@@ -108,7 +112,7 @@ TEST_F(OutputTest, keepsTheOldFileUntilCommitAndItsPermissionsAfter)
 
 TEST_F(OutputTest, doesNotReplaceAFileThatCameIntoBeingMeanwhile)
 {
-    OutputFile file(path("a"), false);
+    OutputFile file(path("a"), {});
     create(path("a"), "other");
     EXPECT_THROW(file.commit(), OutputExists);
     EXPECT_EQ(contents(path("a")), "other");
@@ -123,7 +127,7 @@ TEST_F(OutputTest, refusesWhatIsNoRegularFile)
     for (const std::string& target :
          {path("folder"), path("fifo"), path("device"), path("dangling"), std::string("/dev/null")}) {
         EXPECT_THROW(checkOutput(target, true), OutputExists) << target;
-        EXPECT_THROW(OutputFile(target, true), OutputExists) << target;
+        EXPECT_THROW(OutputFile(target, kOverwrite), OutputExists) << target;
     }
     EXPECT_EQ(fileCount(), 4u);
 }
@@ -134,7 +138,7 @@ TEST_F(OutputTest, followsALinkToARegularFile)
     create(path("elsewhere/target"), "old");
     fs::create_symlink("elsewhere/target", path("link"));
     EXPECT_THROW(checkOutput(path("link"), false), OutputExists);
-    OutputFile file(path("link"), true);
+    OutputFile file(path("link"), kOverwrite);
     file.writeAt(0, "new", 3);
     file.commit();
     EXPECT_TRUE(fs::is_symlink(path("link")));
@@ -154,9 +158,120 @@ TEST_F(OutputTest, checksTheFolderEarly)
 TEST_F(OutputTest, takesTheLongestNames)
 {
     const std::string name(255, 'n');
-    OutputFile file(path(name), false);
+    OutputFile file(path(name), {});
     file.commit();
     EXPECT_TRUE(fs::exists(path(name)));
+}
+
+TEST_F(OutputTest, removesWhatKilledProcessesLeftForItsTarget)
+{
+    const std::string ours = "a.vdb_nns-1f-0.tmp";
+    const std::vector<std::string> others = {"a.vdb_nns-1f-0.tmp2",
+                                             "a.vdb_nns-1f.tmp",
+                                             "a.vdb_nns--0.tmp",
+                                             "a.vdb_nns-1f-.tmp",
+                                             "a.vdb_nns-1f-G.tmp",
+                                             "b.vdb_nns-1f-0.tmp",
+                                             "a.tmp",
+                                             "xa.vdb_nns-1-0.tmp"};
+    for (const std::string& name : others) create(path(name), "of somebody else");
+    fs::create_directory(path("a.vdb_nns-2-0.tmp"));
+    fs::create_symlink(path("a.tmp"), path("a.vdb_nns-3-0.tmp"));
+    const std::size_t count = fileCount();
+    create(path(ours), "half of it");
+    create(path("a.vdb_nns-4-0.tmp"), "half of it");
+    fs::permissions(path("a.vdb_nns-4-0.tmp"), fs::perms(0400));
+    OutputFile(path("a"), {}).commit();
+    EXPECT_EQ(fileCount(), count + 1); // and the target
+    for (const std::string& name : others) EXPECT_TRUE(fs::exists(path(name))) << name;
+    EXPECT_FALSE(fs::exists(path(ours)));
+}
+
+TEST_F(OutputTest, leavesAloneWhatIsBeingWritten)
+{
+    OutputFile first(path("a"), kOverwrite), second(path("a"), kOverwrite);
+    first.writeAt(0, "1", 1);
+    second.writeAt(0, "2", 1);
+    first.commit();
+    EXPECT_EQ(contents(path("a")), "1");
+    second.commit();
+    EXPECT_EQ(contents(path("a")), "2");
+    EXPECT_EQ(fileCount(), 1u);
+}
+
+// Each removes what it takes for left over while others make theirs.
+TEST_F(OutputTest, isWrittenByManyAtOnce)
+{
+    std::vector<pid_t> writers;
+    for (char k = '0'; k < '8'; ++k) {
+        const pid_t writer = ::fork();
+        ASSERT_GE(writer, 0);
+        if (writer > 0) {
+            writers.push_back(writer);
+            continue;
+        }
+        try {
+            for (int round = 0; round < 100; ++round) {
+                OutputFile file(path("a"), kOverwrite);
+                file.writeAt(0, &k, 1);
+                file.commit();
+            }
+        } catch (const std::exception& error) {
+            std::fprintf(stderr, "writer %c: %s\n", k, error.what());
+            ::_exit(1);
+        }
+        ::_exit(0);
+    }
+    for (const pid_t writer : writers) {
+        int status = 0;
+        ASSERT_EQ(::waitpid(writer, &status, 0), writer);
+        EXPECT_EQ(status, 0);
+    }
+    EXPECT_EQ(contents(path("a")).size(), 1u);
+    EXPECT_EQ(fileCount(), 1u);
+}
+
+TEST_F(OutputTest, isRemovedForASignalHandler)
+{
+    create(path("a"), "old");
+    OutputFile file(path("a"), kOverwrite);
+    const pid_t child = ::fork();
+    ASSERT_GE(child, 0);
+    if (child == 0) {
+        removeTemporaryFiles(); // the file is its parent's
+        ::_exit(0);
+    }
+    ASSERT_EQ(::waitpid(child, nullptr, 0), child);
+    EXPECT_TRUE(fs::exists(file.temporaryPath()));
+    removeTemporaryFiles();
+    EXPECT_FALSE(fs::exists(file.temporaryPath()));
+    EXPECT_THROW(file.commit(), OutputError);
+    EXPECT_EQ(contents(path("a")), "old");
+    OutputFile(path("b"), {}).commit();
+    EXPECT_EQ(fileCount(), 2u);
+}
+
+TEST_F(OutputTest, isWrittenBesideMoreThanAreNotedForSignalHandlers)
+{
+    std::vector<std::unique_ptr<OutputFile>> files;
+    for (int k = 0; k < 70; ++k)
+        files.push_back(std::make_unique<OutputFile>(path(std::to_string(k)), OutputOptions{}));
+    for (const std::unique_ptr<OutputFile>& file : files) file->commit();
+    files.clear();
+    EXPECT_EQ(fileCount(), 70u);
+}
+
+TEST_F(OutputTest, writesAndFlushesWholeFiles)
+{
+    writeFile(path("a"), "abc", 3);
+    EXPECT_THROW(writeFile(path("a"), "def", 3), OutputExists);
+    OutputOptions options;
+    options.overwrite = options.sync = true;
+    writeFile(path("a"), "", 0, options);
+    EXPECT_EQ(contents(path("a")), "");
+    writeFile(path("a"), "defg", 4, options);
+    EXPECT_EQ(contents(path("a")), "defg");
+    EXPECT_EQ(fileCount(), 1u);
 }
 
 // Lowers the limit on the size of a file, as `ulimit -f` does, and restores it.
@@ -184,7 +299,7 @@ TEST_F(OutputTest, reportsTheSizeLimitAndLeavesNothing)
 {
     const FileSizeLimit limit(1000);
     try {
-        OutputFile file(path("a"), false);
+        OutputFile file(path("a"), {});
         file.writeAt(0, std::string(2000, 'x').data(), 2000);
         ADD_FAILURE() << "no error";
     } catch (const OutputError& error) {
@@ -196,7 +311,7 @@ TEST_F(OutputTest, reportsTheSizeLimitAndLeavesNothing)
 
 TEST_F(OutputTest, asksForRoomBeforeItIsTaken)
 {
-    OutputFile file(path("a"), false);
+    OutputFile file(path("a"), {});
     EXPECT_NO_THROW(file.requireRoom(1));
     const std::uint64_t exbibytes = std::uint64_t(7) << 60;
     try {
@@ -212,7 +327,7 @@ TEST_F(OutputTest, asksForRoomBeforeItIsTaken)
 TEST_F(OutputTest, streamSeeksAndThrowsTheFilesErrors)
 {
     {
-        OutputFile file(path("a"), false);
+        OutputFile file(path("a"), {});
         std::uint64_t told = 0;
         OutputStreamBuffer buffer(file, [&](std::uint64_t bytes) { told = bytes; });
         std::ostream stream(&buffer);
@@ -230,7 +345,7 @@ TEST_F(OutputTest, streamSeeksAndThrowsTheFilesErrors)
         EXPECT_EQ(contents(path("a")), "0ab3" + large + "!");
     }
     const FileSizeLimit limit(1000);
-    OutputFile file(path("b"), false);
+    OutputFile file(path("b"), {});
     OutputStreamBuffer buffer(file, [](std::uint64_t) {});
     std::ostream stream(&buffer);
     stream.exceptions(std::ios::badbit | std::ios::failbit);
@@ -451,7 +566,7 @@ TEST_F(OutputTest, npzHoldsTheSortedRows)
          {std::pair<std::size_t, std::uint32_t>{0, 1}, {1, 1}, {2, 8}, {3000, 100}, {200000, 61}}) {
         const TestRows rows(size, modulus);
         for (const ListValues values : {ListValues::kConnectivity, ListValues::kDistance}) {
-            writeNpzRows(path("a.npz"), rows, values, true, nullptr);
+            writeNpzRows(path("a.npz"), rows, values, kOverwrite, nullptr);
             checkNpz(path("a.npz"), rows, values);
         }
     }
@@ -461,8 +576,8 @@ TEST_F(OutputTest, npzHoldsTheSortedRows)
 TEST_F(OutputTest, npzHasTheSameBytesEveryTime)
 {
     const TestRows rows(50000, 61);
-    writeNpzRows(path("a.npz"), rows, ListValues::kDistance, false, nullptr);
-    writeNpzRows(path("b.npz"), rows, ListValues::kDistance, false, nullptr);
+    writeNpzRows(path("a.npz"), rows, ListValues::kDistance, {}, nullptr);
+    writeNpzRows(path("b.npz"), rows, ListValues::kDistance, {}, nullptr);
     EXPECT_EQ(contents(path("a.npz")), contents(path("b.npz")));
 }
 
@@ -481,16 +596,15 @@ TEST_F(OutputTest, npzStopsWhenAskedAndLeavesNothing)
     private:
         double mLast = 0;
     } progress;
-    EXPECT_THROW(
-        writeNpzRows(path("a.npz"), TestRows(400000, 61), ListValues::kConnectivity, false, &progress),
-        Cancelled);
+    EXPECT_THROW(writeNpzRows(path("a.npz"), TestRows(400000, 61), ListValues::kConnectivity, {}, &progress),
+                 Cancelled);
     EXPECT_EQ(fileCount(), 0u);
 }
 
 TEST_F(OutputTest, npzWithoutRoomIsAnErrorAndLeavesNothing)
 {
     const FileSizeLimit limit(100000);
-    EXPECT_THROW(writeNpzRows(path("a.npz"), TestRows(50000, 61), ListValues::kConnectivity, false, nullptr),
+    EXPECT_THROW(writeNpzRows(path("a.npz"), TestRows(50000, 61), ListValues::kConnectivity, {}, nullptr),
                  OutputError);
     EXPECT_EQ(fileCount(), 0u);
 }
@@ -511,7 +625,7 @@ TEST_F(OutputTest, npzPast4GiBUsesZip64)
           Case{(std::uint64_t(1) << 31) + 5, std::uint64_t(5) << 30, ListValues::kConnectivity}}) {
         NpzLayout layout = layoutNpz(c.rows, c.pairs, c.values);
         EXPECT_EQ(layout.indexBytes, c.rows > 0x7FFFFFFF ? 8u : 4u);
-        OutputFile file(path("sparse.npz"), true);
+        OutputFile file(path("sparse.npz"), kOverwrite);
         for (NpzMember& member : layout.members) {
             member.crc = 0x12345678;
             const std::string header = localHeader(member);
@@ -599,11 +713,11 @@ TEST_F(OutputTest, npzWithoutListsHasTheSameBytes)
     for (const TestRows& rows : {TestRows(0, 1), TestRows(1, 1), TestRows(2, 8), TestRows(3000, 100),
                                  TestRows(200000, 61), TestRows(12, 140001, 30011)}) {
         for (const ListValues values : {ListValues::kConnectivity, ListValues::kDistance}) {
-            writeNpzRows(path("lists.npz"), rows, values, true, nullptr);
+            writeNpzRows(path("lists.npz"), rows, values, kOverwrite, nullptr);
             const std::string expected = contents(path("lists.npz"));
             for (const std::size_t threadBytes : {0u, 100u, 4000u, 1u << 20, 64u << 20}) {
                 if (rows.size() > 10000 && threadBytes < 1u << 20) continue; // a write a row takes its time
-                writeNpzRowsDirect(path("direct.npz"), TestRowSource(rows), values, true, threadBytes,
+                writeNpzRowsDirect(path("direct.npz"), TestRowSource(rows), values, kOverwrite, threadBytes,
                                    nullptr);
                 EXPECT_TRUE(contents(path("direct.npz")) == expected)
                     << rows.size() << " rows, buffers of " << threadBytes;
@@ -624,12 +738,12 @@ TEST_F(OutputTest, npzOfASearchWithoutListsHasTheSameBytes)
         counting.encoding = Encoding::kNone;
         const NeighborLists counts = engine.search(lists.grid(), counting);
         for (const ListValues values : {ListValues::kConnectivity, ListValues::kDistance}) {
-            writeNpz(path("lists.npz"), lists, values, true);
+            writeNpz(path("lists.npz"), lists, values, kOverwrite);
             for (const int threads : {1, 3}) {
                 for (const std::uint64_t bufferBytes : {0u, 600u, 100000u}) {
                     tbb::task_arena arena(threads);
                     arena.execute([&] {
-                        writeNpzDirect(path("direct.npz"), engine, counts, values, true, bufferBytes);
+                        writeNpzDirect(path("direct.npz"), engine, counts, values, kOverwrite, bufferBytes);
                     });
                     EXPECT_TRUE(contents(path("direct.npz")) == contents(path("lists.npz")))
                         << set.name << ", " << threads << " threads, buffers of " << bufferBytes;
@@ -654,8 +768,8 @@ TEST_F(OutputTest, npzWithoutListsStopsWhenAskedAndLeavesNothing)
         std::atomic<bool> mStop{false};
     } progress;
     const TestRows rows(400000, 61);
-    EXPECT_THROW(writeNpzRowsDirect(path("a.npz"), TestRowSource(rows), ListValues::kConnectivity, false,
-                                    100000, &progress),
+    EXPECT_THROW(writeNpzRowsDirect(path("a.npz"), TestRowSource(rows), ListValues::kConnectivity, {}, 100000,
+                                    &progress),
                  Cancelled);
     EXPECT_EQ(fileCount(), 0u);
 }
@@ -666,7 +780,7 @@ TEST_F(OutputTest, npzWithoutListsAndWithoutRoomLeavesNothing)
     // Within the counts, the rows, the ones.
     for (const rlim_t bytes : {100000, 2000000, 7000000}) {
         const FileSizeLimit limit(bytes);
-        EXPECT_THROW(writeNpzRowsDirect(path("a.npz"), TestRowSource(rows), ListValues::kConnectivity, false,
+        EXPECT_THROW(writeNpzRowsDirect(path("a.npz"), TestRowSource(rows), ListValues::kConnectivity, {},
                                         100000, nullptr),
                      OutputError);
         EXPECT_EQ(fileCount(), 0u);
@@ -681,7 +795,7 @@ TEST_F(OutputTest, npzWithoutListsNoticesRowsThatDoNotMatchTheCounts)
     cut.cut(4321);
     for (const TestRowSource* source : {&lost, &cut}) {
         EXPECT_THROW(
-            writeNpzRowsDirect(path("a.npz"), *source, ListValues::kConnectivity, false, 10000, nullptr),
+            writeNpzRowsDirect(path("a.npz"), *source, ListValues::kConnectivity, {}, 10000, nullptr),
             OutputError);
     }
     EXPECT_EQ(fileCount(), 0u);

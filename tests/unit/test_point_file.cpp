@@ -46,6 +46,8 @@ using Truncate = points::TruncateCodec;
 using Fixed16 = points::FixedPointCodec<false, points::PositionRange>;
 using Fixed8 = points::FixedPointCodec<true, points::PositionRange>;
 
+constexpr OutputOptions kOverwrite{true};
+
 class PointFileTest : public ::testing::Test {
 protected:
     PointFileTest()
@@ -543,7 +545,7 @@ TEST_F(PointFileTest, readsAGridWithoutPoints)
     EXPECT_EQ(file.view().size(), 0u);
     EXPECT_EQ(file.info().points, 0u);
     EXPECT_FALSE(file.info().bbox);
-    file.writeVdb(path("b.vdb"), {}, "nns_", false);
+    file.writeVdb(path("b.vdb"), {}, "nns_", {});
     EXPECT_EQ(PointFile::read(path("b.vdb")).view().size(), 0u);
 }
 
@@ -600,7 +602,7 @@ TEST_F(PointFileTest, describesAnArray)
     EXPECT_EQ((*info.bbox)[0], (Vec3d{-4, 2, 3}));
     EXPECT_EQ((*info.bbox)[1], (Vec3d{1, 5, 6}));
     EXPECT_EQ(info.transform[1], (std::array<double, 4>{0, 1, 0, 0}));
-    EXPECT_THROW(file.writeVdb(path("b.vdb"), {}, "nns_", false), InvalidInput);
+    EXPECT_THROW(file.writeVdb(path("b.vdb"), {}, "nns_", {}), InvalidInput);
 }
 
 // --------------------------------------------------------------------------------------------- writing files
@@ -645,7 +647,7 @@ TEST_F(PointFileTest, writesTheSameFileWithCounts)
         const std::string input = writeFile("in.vdb", {fog, instance, grid, second}, compression, metadata);
         const PointFile file = PointFile::read(input, "fluid[0]");
         const std::vector<std::uint32_t> counts = numbered(5000);
-        file.writeVdb(path("out.vdb"), {counts.data(), counts.size()}, "nns_", true);
+        file.writeVdb(path("out.vdb"), {counts.data(), counts.size()}, "nns_", kOverwrite);
         checkView(file.view(), *grid); // the file in memory is as before
         EXPECT_EQ(file.info().attributes.size(), 3u);
 
@@ -695,9 +697,9 @@ TEST_F(PointFileTest, writesTheSameBytesEveryTime)
     writeFile("in.vdb", {makeGrid<points::NullCodec>(5000)}, kDefaultCompression);
     const std::vector<std::uint32_t> counts = numbered(5000);
     const PointFile file = PointFile::read(path("in.vdb"));
-    file.writeVdb(path("a.vdb"), {counts.data(), counts.size()}, "x_", false);
-    PointFile::read(path("in.vdb")).writeVdb(path("b.vdb"), {counts.data(), counts.size()}, "x_", false);
-    file.writeVdb(path("c.vdb"), {counts.data(), counts.size()}, "x_", false);
+    file.writeVdb(path("a.vdb"), {counts.data(), counts.size()}, "x_", {});
+    PointFile::read(path("in.vdb")).writeVdb(path("b.vdb"), {counts.data(), counts.size()}, "x_", {});
+    file.writeVdb(path("c.vdb"), {counts.data(), counts.size()}, "x_", {});
     const std::string a = contents(path("a.vdb")), b = contents(path("b.vdb")), c = contents(path("c.vdb"));
     EXPECT_TRUE(a.substr(57) == b.substr(57));
     EXPECT_TRUE(a.substr(57) == c.substr(57));
@@ -713,7 +715,7 @@ TEST_F(PointFileTest, copiesFilesWrittenAsAStream)
     openvdb::io::Stream(out).write(openvdb::GridCPtrVec{volume, makeGrid<Fixed8>(500)});
     out.close();
     const std::vector<std::uint32_t> counts = numbered(500);
-    PointFile::read(path("in.vdb")).writeVdb(path("out.vdb"), {counts.data(), counts.size()}, "nns_", false);
+    PointFile::read(path("in.vdb")).writeVdb(path("out.vdb"), {counts.data(), counts.size()}, "nns_", {});
     const PointFile file = PointFile::read(path("out.vdb"));
     checkView(file.view(), *makeGrid<Fixed8>(500));
     EXPECT_EQ(file.info().attributes.size(), 2u);
@@ -731,18 +733,18 @@ TEST_F(PointFileTest, replacesItsInputWhenAllowed)
     writeFile("in.vdb", {volume, grid}, kDefaultCompression);
     const std::vector<std::uint32_t> counts = numbered(5000);
     const PointFile file = PointFile::read(path("in.vdb"));
-    EXPECT_THROW(file.writeVdb(path("in.vdb"), {counts.data(), counts.size()}, "nns_", false), OutputExists);
-    file.writeVdb(path("in.vdb"), {counts.data(), counts.size()}, "nns_", true);
+    EXPECT_THROW(file.writeVdb(path("in.vdb"), {counts.data(), counts.size()}, "nns_", {}), OutputExists);
+    file.writeVdb(path("in.vdb"), {counts.data(), counts.size()}, "nns_", kOverwrite);
     const PointFile again = PointFile::read(path("in.vdb"));
     checkView(again.view(), *grid);
     EXPECT_EQ(again.info().attributes.size(), 2u);
     EXPECT_EQ(fileCount(), 1u);
 
     // An attribute of that name is an error, or replaced.
-    EXPECT_THROW(again.writeVdb(path("b.vdb"), {counts.data(), counts.size()}, "nns_", false), InvalidInput);
-    again.writeVdb(path("b.vdb"), {counts.data(), counts.size()}, "nns_", true);
+    EXPECT_THROW(again.writeVdb(path("b.vdb"), {counts.data(), counts.size()}, "nns_", {}), InvalidInput);
+    again.writeVdb(path("b.vdb"), {counts.data(), counts.size()}, "nns_", kOverwrite);
     EXPECT_EQ(PointFile::read(path("b.vdb")).info().attributes.size(), 2u);
-    EXPECT_THROW(again.writeVdb(path("c.vdb"), {counts.data(), 10}, "x_", false), InvalidInput);
+    EXPECT_THROW(again.writeVdb(path("c.vdb"), {counts.data(), 10}, "x_", {}), InvalidInput);
     EXPECT_EQ(fileCount(), 2u);
 }
 
@@ -761,7 +763,7 @@ TEST_F(PointFileTest, leavesNothingBehindWhenWritingFails)
     private:
         double mFraction = 0;
     } stop;
-    EXPECT_THROW(file.writeVdb(path("out.vdb"), {counts.data(), counts.size()}, "nns_", false, &stop),
+    EXPECT_THROW(file.writeVdb(path("out.vdb"), {counts.data(), counts.size()}, "nns_", {}, &stop),
                  Cancelled);
 
     rlimit old{};
@@ -769,13 +771,14 @@ TEST_F(PointFileTest, leavesNothingBehindWhenWritingFails)
     const auto handler = std::signal(SIGXFSZ, SIG_IGN);
     const rlimit lower{before.size() / 2, old.rlim_max};
     ::setrlimit(RLIMIT_FSIZE, &lower);
-    EXPECT_THROW(file.writeVdb(path("in.vdb"), {counts.data(), counts.size()}, "nns_", true), OutputError);
+    EXPECT_THROW(file.writeVdb(path("in.vdb"), {counts.data(), counts.size()}, "nns_", kOverwrite),
+                 OutputError);
     ::setrlimit(RLIMIT_FSIZE, &old);
     std::signal(SIGXFSZ, handler);
 
     EXPECT_TRUE(contents(path("in.vdb")) == before);
     EXPECT_EQ(fileCount(), 1u);
-    file.writeVdb(path("out.vdb"), {counts.data(), counts.size()}, "nns_", false);
+    file.writeVdb(path("out.vdb"), {counts.data(), counts.size()}, "nns_", {});
     EXPECT_EQ(PointFile::read(path("out.vdb")).info().attributes.size(), 2u);
 }
 

@@ -31,7 +31,7 @@ protected:
     PointFile roundTrip(const SceneOptions& options)
     {
         const Scene scene = makeScene(options);
-        writeScene(mPath, scene, options, true);
+        writeScene(mPath, scene, options, OutputOptions{true});
         return PointFile::read(mPath);
     }
 
@@ -112,7 +112,7 @@ TEST_F(SceneFile, ThreadsDoNotMatter)
     std::string first;
     for (const std::size_t threads : {1, 2, 5}) {
         const tbb::global_control control(tbb::global_control::max_allowed_parallelism, threads);
-        writeScene(mPath, scene, options, true);
+        writeScene(mPath, scene, options, OutputOptions{true});
         if (first.empty()) first = bytes();
         EXPECT_TRUE(first == bytes()) << threads;
     }
@@ -156,9 +156,9 @@ TEST_F(SceneFile, AnExistingFileStays)
     const SceneOptions options = optionsOf("block", 10);
     const Scene scene = makeScene(options);
     std::ofstream(mPath) << "mine";
-    EXPECT_THROW(writeScene(mPath, scene, options, false), OutputExists);
+    EXPECT_THROW(writeScene(mPath, scene, options), OutputExists);
     EXPECT_EQ(std::filesystem::file_size(mPath), 4U);
-    writeScene(mPath, scene, options, true);
+    writeScene(mPath, scene, options, OutputOptions{true});
     EXPECT_GT(std::filesystem::file_size(mPath), 4U);
 }
 

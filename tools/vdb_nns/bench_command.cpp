@@ -13,13 +13,12 @@
 #include "exit_codes.h"
 #include "numbers.h"
 #include "report.h"
-#include "text_file.h"
+#include "standard_streams.h"
 #include "threads.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/search.h"
 
 #include <algorithm>
-#include <cstdio>
 #include <exception>
 #include <memory>
 #include <set>
@@ -221,7 +220,7 @@ BenchPoints loadPoints(const BenchFlags& flags, const BenchPlan& plan, ProgressP
     if (plan.shuffleSeed) shuffle(points, *plan.shuffleSeed);
     if (!flags.pointsOut.empty()) {
         const std::vector<float>& xyz = *points.positions;
-        writeWholeFile(flags.pointsOut, xyz.data(), xyz.size() * sizeof(float), flags.common.force);
+        writeFile(flags.pointsOut, xyz.data(), xyz.size() * sizeof(float), outputOptions(flags.common));
     }
     return points;
 }
@@ -266,14 +265,14 @@ void deliver(const BenchFlags& flags, const BenchReport& report)
 {
     if (!flags.csv.empty()) {
         const std::string csv = benchCsv(report.results);
-        writeWholeFile(flags.csv, csv.data(), csv.size(), flags.common.force);
+        writeFile(flags.csv, csv.data(), csv.size(), outputOptions(flags.common));
     }
     const std::string json = benchJson(report);
-    deliverJson(flags.common.json, json, flags.common.force);
-    if (!flags.common.quiet && !jsonToStdout(flags.common)) writeStdout(benchText(report));
+    deliverJson(flags.common.json, json, outputOptions(flags.common));
+    if (!flags.common.quiet && !jsonToStdout(flags.common)) writeSummary(benchText(report));
     std::exception_ptr noChart; // a wrong answer of ours matters more
     try {
-        if (!flags.chart.empty()) writeChart(flags.chart, json);
+        if (!flags.chart.empty()) writeChart(flags.chart, json, outputOptions(flags.common));
     } catch (const OutputError&) {
         noChart = std::current_exception();
     }
@@ -400,7 +399,7 @@ int runBenchCommand(const BenchFlags& flags, Session& session)
     BenchPlan plan = checkFlags(flags);
     if (!flags.chart.empty()) {
         const std::string missing = missingForCharts();
-        if (!missing.empty()) std::fprintf(stderr, "vdb_nns: no charts: %s\n", missing.c_str());
+        if (!missing.empty()) say("no charts: " + missing);
     }
     ProgressPrinter progress(progressMode(flags.common));
     BenchReport report;

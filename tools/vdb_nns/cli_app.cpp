@@ -4,7 +4,7 @@
 #include "exit_codes.h"
 #include "help_markdown.h"
 #include "signals.h"
-#include "text_file.h"
+#include "standard_streams.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/version.h"
 
@@ -29,9 +29,7 @@ int explainException(const Session& session)
     try {
         throw;
     } catch (const Cancelled&) {
-        const int signal = stopSignal();
-        std::fprintf(stderr, "vdb_nns: stopped by %s\n", signal == SIGTERM ? "SIGTERM" : "SIGINT");
-        return signal == SIGTERM ? kTerminated : kInterrupted;
+        return explainStop(stopSignal());
     } catch (const CheckFailed& e) {
         return printError(session, e.what()), kCheckFailed;
     } catch (const OutputExists& e) {
@@ -66,8 +64,7 @@ int explainParseError(const CLI::App& app, const CLI::ParseError& error)
         writeStdout(isVersion ? std::string(error.what()) + "\n" : app.help());
         return kDone;
     }
-    std::fprintf(stderr, "vdb_nns: error: %s; see vdb_nns --help\n", error.what());
-    return kBadUsage;
+    throw InvalidInput(std::string(error.what()) + "; see vdb_nns --help");
 }
 
 int runCommand(const CLI::App& app, const std::vector<Command>& commands, bool asMarkdown, Session& session)

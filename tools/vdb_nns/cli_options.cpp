@@ -54,6 +54,8 @@ void addCommonFlags(CLI::App& app, CommonFlags& flags)
         ->type_name("FILE")
         ->check(notEmpty());
     app.add_flag("-f,--force", flags.force, "overwrite files and attributes that exist");
+    app.add_flag("--sync", flags.sync,
+                 "flush the files written and their folders to the disk: they survive a power loss then");
     CLI::Option* quiet = app.add_flag("-q,--quiet", flags.quiet, "no summary and no talk");
     app.add_flag("-v,--verbose", flags.verbose, "say more on stderr")->excludes(quiet);
 }
@@ -72,6 +74,11 @@ ProgressMode progressMode(const CommonFlags& flags)
     if (flags.progress == "always") return ProgressMode::kAlways;
     if (flags.progress == "never" || flags.quiet) return ProgressMode::kNever;
     return ProgressMode::kAuto;
+}
+
+OutputOptions outputOptions(const CommonFlags& flags)
+{
+    return {flags.force, flags.sync};
 }
 
 bool jsonToStdout(const CommonFlags& flags)

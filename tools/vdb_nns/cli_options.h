@@ -2,6 +2,7 @@
 #pragma once
 
 #include "progress_printer.h"
+#include "vdb_nns/output.h"
 #include "vdb_nns/particle_view.h"
 #include "vdb_nns/scene.h"
 #include "vdb_nns/search_options.h"
@@ -34,11 +35,12 @@ const CLI::Validator& notEmpty();
 /// Flags of every subcommand.
 struct CommonFlags {
     std::string threads = "0", progress = "auto", json;
-    bool force = false, quiet = false, verbose = false;
+    bool force = false, sync = false, quiet = false, verbose = false;
 };
 void addCommonFlags(CLI::App& app, CommonFlags& flags);
 int threadCount(const CommonFlags& flags); ///< 0: all
 ProgressMode progressMode(const CommonFlags& flags);
+OutputOptions outputOptions(const CommonFlags& flags);
 bool jsonToStdout(const CommonFlags& flags);
 
 /// Which particles and which radius.

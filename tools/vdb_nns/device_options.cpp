@@ -1,12 +1,12 @@
 #include "device_options.h"
 
 #include "cli_options.h"
+#include "standard_streams.h"
 #include "vdb_nns/error.h"
 
 #include <algorithm>
 #include <cctype>
 #include <cmath>
-#include <cstdio>
 #include <cstdlib>
 #include <utility>
 
@@ -185,7 +185,7 @@ std::vector<DeviceLimits> allCudaDevices()
 {
     std::vector<std::string> leftOut;
     std::vector<DeviceLimits> devices = cudaDevices(&leftOut);
-    for (const std::string& reason : leftOut) std::fprintf(stderr, "vdb_nns: left out: %s\n", reason.c_str());
+    for (const std::string& reason : leftOut) say("left out: " + reason);
     return devices;
 }
 

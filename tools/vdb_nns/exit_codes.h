@@ -14,6 +14,7 @@ enum ExitCode : int {
     kNoDevice = 5,      // the device demanded is not there or failed
     kNotWritten = 6,    // output cannot be written
     kUnexpected = 70,   // a fault of this program
+    kHungUp = 129,      // SIGHUP
     kInterrupted = 130, // SIGINT
     kTerminated = 143   // SIGTERM
 };

@@ -3,7 +3,7 @@
 #include "command.h"
 #include "exit_codes.h"
 #include "report.h"
-#include "text_file.h"
+#include "standard_streams.h"
 #include "threads.h"
 #include "vdb_nns/point_file.h"
 
@@ -26,8 +26,8 @@ int describeFile(const InfoFlags& flags, Session& session)
     const PointFileInfo& info = file.info();
     throwIfStopped();
     progress.finish();
-    deliverJson(flags.common.json, infoJson(info), flags.common.force);
-    if (!flags.common.quiet && !jsonToStdout(flags.common)) writeStdout(infoText(info));
+    deliverJson(flags.common.json, infoJson(info), outputOptions(flags.common));
+    if (!flags.common.quiet && !jsonToStdout(flags.common)) writeSummary(infoText(info));
     return kDone;
 }
 

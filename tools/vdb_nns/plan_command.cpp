@@ -7,14 +7,13 @@
 #include "plan_svg.h"
 #include "point_input.h"
 #include "report.h"
-#include "text_file.h"
+#include "standard_streams.h"
 #include "threads.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/search.h"
 
 #include <algorithm>
-#include <cstdio>
 #include <filesystem>
 #include <memory>
 
@@ -76,7 +75,7 @@ void deliver(const PlanFlags& flags, const SparseGrid& grid, SearchReport& repor
         const Stopwatch watch;
         const std::string scene = std::filesystem::path(flags.input.path).filename().string();
         const std::string svg = planSvg(grid, *report.plan, scene);
-        writeWholeFile(flags.svg, svg.data(), svg.size(), flags.common.force);
+        writeFile(flags.svg, svg.data(), svg.size(), outputOptions(flags.common));
         report.written.push_back(flags.svg);
         report.seconds.write = watch.seconds();
     }
@@ -109,15 +108,15 @@ int planFile(const PlanFlags& flags, SearchOptions options, const DeviceRequest&
     report.seconds.total = total.seconds();
 
     if (flags.common.verbose) {
-        std::fprintf(stderr,
-                     "vdb_nns: %d threads, %s; the CPU is taken to make %.3g tests a second, index lists "
-                     "get %.1f %% and %.2g neighbors a particle beyond their estimate\n",
-                     threads, report.simd.c_str(), request.schedule.cpuTestsPerSecond,
-                     100 * report.plan->schedule.model.margin, report.plan->schedule.model.auxNeighbors);
+        say(format(
+            "%d threads, %s; the CPU is taken to make %.3g tests a second, index lists get %.1f %% and "
+            "%.2g neighbors a particle beyond their estimate",
+            threads, report.simd.c_str(), request.schedule.cpuTestsPerSecond,
+            100 * report.plan->schedule.model.margin, report.plan->schedule.model.auxNeighbors));
     }
     if (!flags.common.json.empty())
-        deliverJson(flags.common.json, searchReportJson(report), flags.common.force);
-    if (!flags.common.quiet && !jsonToStdout(flags.common)) writeStdout(planReportText(report));
+        deliverJson(flags.common.json, searchReportJson(report), outputOptions(flags.common));
+    if (!flags.common.quiet && !jsonToStdout(flags.common)) writeSummary(planReportText(report));
     return kDone;
 }
 

@@ -14,7 +14,7 @@ namespace vdb_nns::cli {
 enum class ProgressMode { kAuto, kAlways, kNever };
 
 /// A run is a sequence of phases, each a share of the whole; steps that the library names inside a phase move
-/// it forward only. Asks running steps to stop once SIGINT or SIGTERM came.
+/// it forward only. Asks running steps to stop once SIGHUP, SIGINT or SIGTERM came.
 class ProgressPrinter : public Progress {
 public:
     explicit ProgressPrinter(ProgressMode mode);
@@ -42,7 +42,7 @@ private:
     std::chrono::steady_clock::time_point mLastPrint{};
 };
 
-/// Throws Cancelled if SIGINT or SIGTERM came: called between steps.
+/// Throws Cancelled if one of these signals came: called between steps.
 void throwIfStopped();
 
 /// The share of a run that a step is shown as.

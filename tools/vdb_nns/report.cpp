@@ -2,7 +2,7 @@
 
 #include "machine.h"
 #include "numbers.h"
-#include "text_file.h"
+#include "standard_streams.h"
 #include "vdb_nns/version.h"
 
 #include <Eigen/LU>
@@ -270,7 +270,7 @@ std::string checksumText(std::uint64_t checksum)
 
 std::string line(const char* label, const std::string& value)
 {
-    return format("%-11s ", label) + value + "\n";
+    return format("%-11s ", label) + printable(value) + "\n";
 }
 
 std::string step(const char* label, double seconds, double total)
@@ -471,12 +471,12 @@ std::string infoText(const PointFileInfo& info)
     return text;
 }
 
-void deliverJson(const std::string& target, const std::string& json, bool overwrite)
+void deliverJson(const std::string& target, const std::string& json, const OutputOptions& options)
 {
     if (target == "-") {
         writeStdout(json);
     } else if (!target.empty()) {
-        writeWholeFile(target, json.data(), json.size(), overwrite);
+        writeFile(target, json.data(), json.size(), options);
     }
 }
 

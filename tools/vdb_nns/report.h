@@ -100,7 +100,7 @@ std::string checksumText(std::uint64_t checksum); ///< 16 hex digits
 std::string shortest(double value);               ///< the fewest digits that read back as the same double
 std::string format(const char* pattern, ...) __attribute__((format(printf, 1, 2)));
 
-// Lines of the summaries.
+// Lines of the summaries. A value is made printable: it may come from a file.
 std::string line(const char* label, const std::string& value);
 std::string step(const char* label, double seconds, double total);
 std::string timeLines(const SecondsReport& seconds); ///< of every step that ran
@@ -110,6 +110,6 @@ std::string countText(std::uint64_t count);
 
 /// Sends a report where --json says: nowhere, to a file, or to stdout.
 /// @throws OutputExists, OutputError
-void deliverJson(const std::string& target, const std::string& json, bool overwrite);
+void deliverJson(const std::string& target, const std::string& json, const OutputOptions& options);
 
 } // namespace vdb_nns::cli

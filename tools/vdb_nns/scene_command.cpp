@@ -4,7 +4,7 @@
 #include "exit_codes.h"
 #include "machine.h"
 #include "report.h"
-#include "text_file.h"
+#include "standard_streams.h"
 #include "threads.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/scene.h"
@@ -56,11 +56,10 @@ std::string sceneJson(const SceneCommandFlags& flags, const SceneOptions& option
 
 std::string sceneText(const SceneCommandFlags& flags, const SceneOptions& options, const Scene& scene)
 {
-    return format("scene       %s, seed %llu\n", options.name.c_str(),
-                  static_cast<unsigned long long>(options.seed)) +
-           format("particles   %zu\n", scene.positions.size() / 3) + "radius      " +
-           shortest(scene.suggestedRadius) + " suggested\n" + format("voxel size  %.9g\n", scene.voxelSize) +
-           "written     " + flags.output + "\n";
+    return line("scene", options.name + ", seed " + countText(options.seed)) +
+           line("particles", countText(scene.positions.size() / 3)) +
+           line("radius", shortest(scene.suggestedRadius) + " suggested") +
+           line("voxel size", format("%.9g", scene.voxelSize)) + line("written", flags.output);
 }
 
 int makeAndWrite(const SceneCommandFlags& flags, const SceneOptions& options)
@@ -70,12 +69,13 @@ int makeAndWrite(const SceneCommandFlags& flags, const SceneOptions& options)
     progress.begin("scene", 0, 0.5);
     const Scene scene = makeScene(options, &progress);
     progress.begin("write", 0.5, 1);
-    writeScene(flags.output, scene, options, flags.common.force, &progress);
+    writeScene(flags.output, scene, options, outputOptions(flags.common), &progress);
     progress.finish();
     if (!flags.common.json.empty()) {
-        deliverJson(flags.common.json, sceneJson(flags, options, scene, watch.seconds()), flags.common.force);
+        deliverJson(flags.common.json, sceneJson(flags, options, scene, watch.seconds()),
+                    outputOptions(flags.common));
     }
-    if (!flags.common.quiet && !jsonToStdout(flags.common)) writeStdout(sceneText(flags, options, scene));
+    if (!flags.common.quiet && !jsonToStdout(flags.common)) writeSummary(sceneText(flags, options, scene));
     return kDone;
 }
 

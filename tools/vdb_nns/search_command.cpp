@@ -8,7 +8,7 @@
 #include "numbers.h"
 #include "point_input.h"
 #include "report.h"
-#include "text_file.h"
+#include "standard_streams.h"
 #include "threads.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/point_file.h"
@@ -17,7 +17,6 @@
 
 #include <algorithm>
 #include <cctype>
-#include <cstdio>
 #include <memory>
 #include <tbb/combinable.h>
 
@@ -229,10 +228,10 @@ NeighborLists searchGrid(SearchEngine& engine, SparseGrid grid, const SearchFlag
             const bool areLargeMasks = plan.options.encoding == Encoding::kMask && hasWideCells(grid, plan);
             if (!areLargeMasks && !takeLess(grid, flags, plan)) throw;
             if (!flags.common.quiet) {
-                std::fprintf(stderr, "vdb_nns: %s; %s\n", error.what(),
-                             areLargeMasks         ? "cells of the radius are taken instead"
-                             : plan.straightToFile ? "rows go straight to the file instead"
-                                                   : "they are held as masks instead");
+                say(error.what() + std::string(areLargeMasks ? "; cells of the radius are taken instead"
+                                               : plan.straightToFile
+                                                   ? "; rows go straight to the file instead"
+                                                   : "; they are held as masks instead"));
             }
             if (plan.options.encoding == Encoding::kMask && hasWideCells(grid, plan))
                 narrowCells(engine, grid, plan);
@@ -305,10 +304,10 @@ void writeLists(const std::string& path, SearchEngine& engine, const NeighborLis
 {
     const ListValues values = flags.lists == "distance" ? ListValues::kDistance : ListValues::kConnectivity;
     if (plan.straightToFile) {
-        writeNpzDirect(path, engine, lists, values, flags.common.force, memory.bufferBytes(lists.grid()),
-                       plan.options);
+        writeNpzDirect(path, engine, lists, values, outputOptions(flags.common),
+                       memory.bufferBytes(lists.grid()), plan.options);
     } else {
-        writeNpz(path, lists, values, flags.common.force, plan.options.progress);
+        writeNpz(path, lists, values, outputOptions(flags.common), plan.options.progress);
     }
 }
 
@@ -326,7 +325,8 @@ void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const SearchPl
             writeLists(path, engine, lists, flags, plan, memory);
         } else {
             const std::vector<std::uint32_t> counts = lists.counts();
-            file.writeVdb(path, {counts.data(), counts.size()}, flags.prefix, flags.common.force, &progress);
+            file.writeVdb(path, {counts.data(), counts.size()}, flags.prefix, outputOptions(flags.common),
+                          &progress);
         }
         report.written.push_back(path);
     }
@@ -385,14 +385,13 @@ int searchFile(const SearchFlags& flags, SearchPlan plan, int threads, Session& 
     report.seconds.total = total.seconds();
 
     if (flags.common.verbose) {
-        std::fprintf(
-            stderr, "vdb_nns: %d threads, %s; %llu pairs went to the double test, %llu to exact arithmetic\n",
-            threads, report.simd.c_str(), static_cast<unsigned long long>(report.doublePairs),
-            static_cast<unsigned long long>(report.exactPairs));
+        say(countText(static_cast<std::uint64_t>(threads)) + " threads, " + report.simd + "; " +
+            countText(report.doublePairs) + " pairs went to the double test, " +
+            countText(report.exactPairs) + " to exact arithmetic");
     }
     if (!flags.common.json.empty())
-        deliverJson(flags.common.json, searchReportJson(report), flags.common.force);
-    if (!flags.common.quiet && !jsonToStdout(flags.common)) writeStdout(searchReportText(report));
+        deliverJson(flags.common.json, searchReportJson(report), outputOptions(flags.common));
+    if (!flags.common.quiet && !jsonToStdout(flags.common)) writeSummary(searchReportText(report));
     return kDone;
 }
 

@@ -1,5 +1,7 @@
 #include "signals.h"
 
+#include "vdb_nns/output.h"
+
 #include <atomic>
 #include <csignal>
 
@@ -9,30 +11,48 @@ namespace {
 std::atomic<int> gStopSignal{0};
 static_assert(std::atomic<int>::is_always_lock_free, "a signal handler may only touch lock-free atomics");
 
-void rememberSignal(int signal)
+// Dies of the signal once the handler returns.
+void killAtOnce(int signal)
 {
-    gStopSignal.store(signal, std::memory_order_relaxed);
+    removeTemporaryFiles();
+    struct sigaction action = {};
+    action.sa_handler = SIG_DFL;
+    sigaction(signal, &action, nullptr);
+    raise(signal);
+}
+
+void askToStop(int signal)
+{
+    int none = 0;
+    if (!gStopSignal.compare_exchange_strong(none, signal)) killAtOnce(signal);
+}
+
+void handle(int signal, void (*handler)(int))
+{
+    struct sigaction action = {};
+    action.sa_handler = handler;
+    sigemptyset(&action.sa_mask);
+    action.sa_flags = SA_RESTART;
+    sigaction(signal, &action, nullptr);
+}
+
+bool isIgnored(int signal)
+{
+    struct sigaction action = {};
+    return sigaction(signal, nullptr, &action) == 0 && action.sa_handler == SIG_IGN;
 }
 
 } // namespace
 
 void installSignalHandlers()
 {
-    struct sigaction stop = {};
-    stop.sa_handler = rememberSignal;
-    sigemptyset(&stop.sa_mask);
-    // Reset: the second one takes the default action. Targets cannot be left half written by it: they are
-    // temporary files until the rename.
-    stop.sa_flags = SA_RESTART | SA_RESETHAND;
     // Also where a shell started us in the background with SIGINT ignored: whoever sends it by hand means it.
-    sigaction(SIGINT, &stop, nullptr);
-    sigaction(SIGTERM, &stop, nullptr);
-
-    struct sigaction ignore = {};
-    ignore.sa_handler = SIG_IGN;
-    sigemptyset(&ignore.sa_mask);
-    sigaction(SIGPIPE, &ignore, nullptr);
-    sigaction(SIGXFSZ, &ignore, nullptr);
+    handle(SIGINT, askToStop);
+    handle(SIGTERM, askToStop);
+    if (!isIgnored(SIGHUP)) handle(SIGHUP, askToStop); // nohup ignores it
+    if (!isIgnored(SIGQUIT)) handle(SIGQUIT, killAtOnce);
+    handle(SIGPIPE, SIG_IGN);
+    handle(SIGXFSZ, SIG_IGN);
 }
 
 int stopSignal()

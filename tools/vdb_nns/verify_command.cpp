@@ -4,7 +4,7 @@
 #include "exit_codes.h"
 #include "machine.h"
 #include "report.h"
-#include "text_file.h"
+#include "standard_streams.h"
 #include "threads.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/point_file.h"
@@ -109,8 +109,9 @@ int verifyFile(const VerifyFlags& flags, const VerifyOptions& options, Session& 
     const VerifyReport report = verifyLists(file.view(), radius, lists, options, &progress);
     throwIfStopped();
     progress.finish();
-    deliverJson(flags.common.json, verifyJson(flags, radius, report, watch.seconds()), flags.common.force);
-    if (!flags.common.quiet && !jsonToStdout(flags.common)) writeStdout(verifyText(report, watch.seconds()));
+    deliverJson(flags.common.json, verifyJson(flags, radius, report, watch.seconds()),
+                outputOptions(flags.common));
+    if (!flags.common.quiet && !jsonToStdout(flags.common)) writeSummary(verifyText(report, watch.seconds()));
     if (!report.passed()) {
         throw CheckFailed(flags.lists + " differs from the neighbors of " + flags.input.path + " in " +
                           std::to_string(report.faultCount()) + " places (" + std::to_string(report.queries) +

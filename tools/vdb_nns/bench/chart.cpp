@@ -1,14 +1,15 @@
 #include "bench/chart.h"
 
-#include "text_file.h"
 #include "vdb_nns/error.h"
 
+#include <array>
 #include <cerrno>
-#include <cstdlib>
 #include <fcntl.h>
 #include <filesystem>
 #include <optional>
 #include <spawn.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
 #include <sys/wait.h>
 #include <system_error>
 #include <unistd.h>
@@ -32,20 +33,58 @@ std::optional<fs::path> findScript()
     return std::nullopt;
 }
 
-// Runs a program; its output goes to stderr or nowhere. Returns the exit status, 127 where it cannot be run.
-int run(const std::vector<std::string>& command, bool isQuiet)
+// A file in memory: whatever happens, nothing is left of it.
+class MemoryFile {
+public:
+    MemoryFile() : mDescriptor(memfd_create("vdb_nns_chart", MFD_CLOEXEC)) { require(mDescriptor); }
+    ~MemoryFile() { close(mDescriptor); }
+    MemoryFile(const MemoryFile&) = delete;
+    MemoryFile& operator=(const MemoryFile&) = delete;
+
+    int descriptor() const { return mDescriptor; }
+
+    void write(const std::string& text) const
+    {
+        for (std::size_t done = 0; done < text.size();) {
+            done += require(
+                pwrite(mDescriptor, text.data() + done, text.size() - done, static_cast<off_t>(done)));
+        }
+    }
+
+    std::string read() const
+    {
+        struct stat status {};
+        require(fstat(mDescriptor, &status));
+        std::string text(static_cast<std::size_t>(status.st_size), '\0');
+        for (std::size_t done = 0; done < text.size();) {
+            done +=
+                require(pread(mDescriptor, text.data() + done, text.size() - done, static_cast<off_t>(done)));
+        }
+        return text;
+    }
+
+private:
+    static std::size_t require(ssize_t result)
+    {
+        if (result < 0)
+            throw OutputError("charts: a file in memory failed: " + std::generic_category().message(errno));
+        return static_cast<std::size_t>(result);
+    }
+
+    int mDescriptor;
+};
+
+// Runs a program on these descriptors as its standard streams. Returns the exit status, 127 where it cannot be run.
+int run(const std::vector<std::string>& command, const std::array<int, 3>& streams)
 {
     std::vector<char*> arguments;
     for (const std::string& part : command) arguments.push_back(const_cast<char*>(part.c_str()));
     arguments.push_back(nullptr);
     posix_spawn_file_actions_t actions;
     posix_spawn_file_actions_init(&actions);
-    if (isQuiet) {
-        posix_spawn_file_actions_addopen(&actions, 1, "/dev/null", O_WRONLY, 0);
-        posix_spawn_file_actions_addopen(&actions, 2, "/dev/null", O_WRONLY, 0);
-    } else {
-        posix_spawn_file_actions_adddup2(&actions, 2, 1);
-    }
+    for (int k = 0; k < 3; ++k)
+        posix_spawn_file_actions_adddup2(&actions, streams[static_cast<std::size_t>(k)], k);
+    posix_spawn_file_actions_addchdir_np(&actions, "/"); // where no matplotlibrc lies
     pid_t child = 0;
     const int error = posix_spawnp(&child, arguments[0], &actions, nullptr, arguments.data(), environ);
     posix_spawn_file_actions_destroy(&actions);
@@ -56,36 +95,24 @@ int run(const std::vector<std::string>& command, bool isQuiet)
     return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
 }
 
+// Runs Python isolated (-I): of what lies in the folder that the program was started in nothing is imported.
+int runPython(const std::string& python, std::vector<std::string> arguments,
+              const std::array<int, 3>& streams)
+{
+    arguments.insert(arguments.begin(), {python, "-I", "-B"});
+    return run(arguments, streams);
+}
+
 // The Python of the PATH may be another one than the system's, which has the system's packages.
 std::optional<std::string> findPython()
 {
+    const MemoryFile nothing, ignored;
     for (const char* python : {"python3", "/usr/bin/python3"}) {
-        if (run({python, "-c", "import matplotlib"}, true) == 0) return python;
+        const std::array<int, 3> streams{nothing.descriptor(), ignored.descriptor(), ignored.descriptor()};
+        if (runPython(python, {"-c", "import matplotlib"}, streams) == 0) return python;
     }
     return std::nullopt;
 }
-
-// Removed at the end.
-class TemporaryFolder {
-public:
-    TemporaryFolder()
-    {
-        std::string pattern = (fs::temp_directory_path() / "vdb_nns_chart_XXXXXX").string();
-        if (!mkdtemp(pattern.data())) {
-            throw OutputError(pattern + ": cannot be made: " + std::generic_category().message(errno));
-        }
-        path = pattern;
-    }
-    ~TemporaryFolder()
-    {
-        std::error_code ignored;
-        fs::remove_all(path, ignored);
-    }
-    TemporaryFolder(const TemporaryFolder&) = delete;
-    TemporaryFolder& operator=(const TemporaryFolder&) = delete;
-
-    fs::path path;
-};
 
 } // namespace
 
@@ -97,16 +124,18 @@ std::string missingForCharts()
     return {};
 }
 
-void writeChart(const std::string& path, const std::string& json)
+void writeChart(const std::string& path, const std::string& json, const OutputOptions& options)
 {
     const std::string missing = missingForCharts();
     if (!missing.empty()) throw OutputError(path + ": not written: " + missing);
-    const TemporaryFolder folder;
-    const std::string input = (folder.path / "bench.json").string();
-    writeWholeFile(input, json.data(), json.size(), true);
-    const int status = run({*findPython(), "-B", findScript()->string(), path, input}, false);
+    const MemoryFile report, page;
+    report.write(json);
+    const int status = runPython(*findPython(), {findScript()->string(), "-", "/dev/stdin"},
+                                 {report.descriptor(), page.descriptor(), STDERR_FILENO});
     if (status != 0)
         throw OutputError(path + ": not written: chart.py ended with status " + std::to_string(status));
+    const std::string html = page.read();
+    writeFile(path, html.data(), html.size(), options);
 }
 
 } // namespace vdb_nns::cli

@@ -1,6 +1,8 @@
 // Charts of a benchmark: runs chart.py, which needs Python with matplotlib.
 #pragma once
 
+#include "vdb_nns/output.h"
+
 #include <string>
 
 namespace vdb_nns::cli {
@@ -9,7 +11,7 @@ namespace vdb_nns::cli {
 std::string missingForCharts();
 
 /// Makes the page from a report in JSON.
-/// @throws OutputError with what chart.py says, or missingForCharts()
-void writeChart(const std::string& path, const std::string& json);
+/// @throws OutputExists, OutputError, also where chart.py fails, which says why, or with missingForCharts()
+void writeChart(const std::string& path, const std::string& json, const OutputOptions& options);
 
 } // namespace vdb_nns::cli

@@ -4,6 +4,7 @@
 #include "bench/report/study_report.h"
 #include "machine.h"
 #include "report.h"
+#include "standard_streams.h"
 #include "threads.h"
 #include "vdb_nns/version.h"
 
@@ -119,7 +120,7 @@ Json resultJson(const BenchResult& result)
 std::string csvField(const std::string& text)
 {
     std::string quoted = "\"";
-    for (const char c : text) {
+    for (const char c : printable(text)) {
         if (c == '"') quoted += '"';
         quoted += c;
     }
@@ -139,9 +140,9 @@ double per(double sum, std::uint64_t count)
 std::string headText(const std::vector<BenchResult>& results)
 {
     const BenchResult& first = results.front();
-    std::string text =
-        format("scene %s, %llu particles, radius %.9g, %d threads, medians of %llu runs\n",
-               first.scene.c_str(), wide(first.points), first.radius, first.threads, wide(first.runs));
+    std::string text = format("scene %s, %llu particles, radius %.9g, %d threads, medians of %llu runs\n",
+                              printable(first.scene).c_str(), wide(first.points), first.radius, first.threads,
+                              wide(first.runs));
     return text + "vdb_nns " VDB_NNS_VERSION ", commit " + buildFact("commit ") + ", " +
            buildFact("compiler: ") + ", " + cpuName() + "\n";
 }

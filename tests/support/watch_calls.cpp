@@ -1,0 +1,66 @@
+// A library to load before the program (LD_PRELOAD): appends to the file that $VDB_NNS_CALLS names a line for each flush and
+// each renaming, with the paths. With $VDB_NNS_NO_PROGRAMS there is no program that could be started.
+#include <cerrno>
+#include <cstdio>
+#include <cstdlib>
+#include <string>
+
+#include <dlfcn.h>
+#include <spawn.h>
+#include <unistd.h>
+
+namespace {
+
+void log(const std::string& line)
+{
+    const char* const path = std::getenv("VDB_NNS_CALLS");
+    if (!path) return;
+    std::FILE* const file = std::fopen(path, "a");
+    if (!file) return;
+    std::fputs((line + "\n").c_str(), file);
+    std::fclose(file);
+}
+
+std::string pathOf(int descriptor)
+{
+    char path[4096];
+    const ssize_t length =
+        ::readlink(("/proc/self/fd/" + std::to_string(descriptor)).c_str(), path, sizeof path);
+    return {path, length < 0 ? 0 : static_cast<std::size_t>(length)};
+}
+
+template <typename F>
+F* realCall(const char* name, F*)
+{
+    return reinterpret_cast<F*>(::dlsym(RTLD_NEXT, name));
+}
+
+} // namespace
+
+extern "C" {
+
+int fsync(int descriptor)
+{
+    log("flush " + pathOf(descriptor));
+    return realCall("fsync", &fsync)(descriptor);
+}
+
+int rename(const char* from, const char* to) noexcept
+{
+    log(std::string("rename ") + from + " " + to);
+    return realCall("rename", &rename)(from, to);
+}
+
+int renameat2(int fromFolder, const char* from, int toFolder, const char* to, unsigned flags) noexcept
+{
+    log(std::string("rename ") + from + " " + to);
+    return realCall("renameat2", &renameat2)(fromFolder, from, toFolder, to, flags);
+}
+
+int posix_spawnp(pid_t* child, const char* file, const posix_spawn_file_actions_t* actions,
+                 const posix_spawnattr_t* attributes, char* const arguments[], char* const environment[])
+{
+    if (std::getenv("VDB_NNS_NO_PROGRAMS")) return ENOENT;
+    return realCall("posix_spawnp", &posix_spawnp)(child, file, actions, attributes, arguments, environment);
+}
+}
