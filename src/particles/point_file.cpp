@@ -18,6 +18,7 @@
 #include <cerrno>
 #include <cmath>
 #include <cstring>
+#include <filesystem>
 #include <limits>
 #include <mutex>
 #include <optional>
@@ -64,6 +65,11 @@ public:
         mDescriptor = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
         if (mDescriptor < 0) fail(errno);
         mBytes = static_cast<std::size_t>(status.st_size);
+        char first = 0;
+        if (mBytes == 0 && ::pread(mDescriptor, &first, 1, 0) > 0) {
+            ::close(mDescriptor);
+            throw InputError(path + ": has content but no size, as files of /proc have; copy it first");
+        }
     }
 
     ~InputDescriptor() { ::close(mDescriptor); }
@@ -236,6 +242,10 @@ PointFile PointFile::read(const std::string& path, const std::string& grid, Prog
     data.info.path = path;
     data.info.format = lowerExtension(path);
     const std::string& format = data.info.format;
+    std::error_code error;
+    if (std::filesystem::is_directory(path, error)) {
+        throw InputError(path + ": is a folder; give the name of a file in it");
+    }
     if (format != "vdb" && format != "npy" && format != "ply" && format != "xyz") {
         throw InvalidInput(path + ": unknown extension '" + format +
                            "'; point files are .vdb, .npy, .ply and .xyz");

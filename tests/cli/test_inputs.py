@@ -22,7 +22,12 @@ class BadFiles(CliCase):
         self.rejects(self.text("points.obj", "v 0 0 0\n"), code=2)
         self.rejects(self.text("points", "0 0 0\n"), code=2)
         os.mkdir(self.path("folder.vdb"))
-        self.rejects(self.path("folder.vdb"))
+        self.rejects(self.path("folder.vdb"), "is a folder")
+        os.mkdir(self.path("folder"))
+        self.rejects(self.path("folder"), "is a folder")
+        for extension in (".vdb", ".npy", ".ply", ".xyz"):
+            os.symlink("/proc/self/status", self.path("no_size" + extension))
+            self.rejects(self.path("no_size" + extension), "no size", "copy")
 
     def test_not_a_vdb(self):
         self.rejects(self.text("empty.vdb", b""))

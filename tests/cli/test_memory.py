@@ -136,7 +136,9 @@ class TooLittle(CliCase):
         path = self.scene()
         for size in ("10K", "20MB"):
             self.fails(4, "search", path, "-o", self.path("x.npz"), "--host-memory", size,
-                       says=["points alone need", "bytes", "--host-memory"])
+                       says=["the program itself takes", "bytes", "--host-memory"])
+        self.fails(4, "search", path, "-o", self.path("x.npz"), "--host-memory", "60MB",
+                   says=["points alone need", "bytes", "--host-memory"])
 
     def test_less_than_the_grid(self):
         path = self.scene("block", 300000)

@@ -312,6 +312,15 @@ class Picture(PlanCase):
             self.draw(self.scene(scene, 2000), "--device", "sim", "--device-memory", "50K")
         self.draw(self.scene("block", 2000))
 
+    def test_same_picture_for_any_number_of_threads(self):
+        path = self.scene("spray", 20000)
+        args = ["--device", "sim:2", "--device-memory", "200K", "--boundary", "cpu"]
+        pictures = set()
+        for threads in ("1", "2", "5"):
+            self.draw(path, *args, "-T", threads)
+            pictures.add(self.bytes(self.path("plan.svg")))
+        self.assertEqual(len(pictures), 1)
+
     def test_awkward_names(self):
         path = self.scene("block", 500)
         for name in ("<a&b>\".vdb", "\x01.vdb"):

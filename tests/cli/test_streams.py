@@ -127,4 +127,4 @@ class Terminal(CliCase):
         evil = self.text("evil.vdb", self.bytes(path).replace(b"\x06\0\0\0points", b"\x06\0\0\0\x1b[31mp"))
         self.says("info", evil, shown="\\x1B[31mp")
         self.says("info", evil, "-g", "none", code=2, shown="\\x1B[31mp")
-        self.says("search", evil, "-r", "1e-15", code=3, shown="\\x1B[31mp")
+        self.says("search", evil, "-g", "\x1b[31mp", "-r", "1e-15", code=3, shown="\\x1B[31mp")

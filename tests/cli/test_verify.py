@@ -96,13 +96,16 @@ class Verify(CliCase):
 
     def test_lists_of_other_points_or_no_lists(self):
         other = self.npy("other.npy", np.zeros((3, 3)))
-        self.fails(3, "verify", other, self.lists, "-r", "0.1", says="lists.npz")
-        self.fails(3, "verify", self.input, self.path("missing.npz"), "-r", "0.1", says="missing.npz")
+        self.fails(3, "verify", other, self.lists, "-r", "0.1", says=f"error: {self.lists}: has")
+        missing = self.path("missing.npz")
+        self.fails(3, "verify", self.input, missing, "-r", "0.1", says=f"error: {missing}: cannot")
         self.fails(3, "verify", self.input, self.input, "-r", "0.1", says="cloud.npy")
         with open(self.lists, "rb") as file:
             data = file.read()
         for size in (0, 100, len(data) // 2, len(data) - 1):
-            self.fails(3, "verify", self.input, self.text("cut.npz", data[:size]), "-r", "0.1", says="cut.npz")
+            done = self.fails(3, "verify", self.input, self.text("cut.npz", data[:size]), "-r", "0.1")
+            self.assertIn(f"error: {self.path('cut.npz')}: ", done.err) # the lists' file alone
+            self.assertNotIn("cloud.npy", done.err)
         self.fails(2, "verify", self.input, self.lists, "-r", "0")
         self.fails(2, "verify", self.input, self.lists, "-r", "0.1", "--sample", "0", says="--sample")
         self.fails(2, "verify", self.input, self.lists)

@@ -1,6 +1,7 @@
 #include "cli_app.h"
 
 #include "command.h"
+#include "command_words.h"
 #include "exit_codes.h"
 #include "help_markdown.h"
 #include "signals.h"
@@ -8,19 +9,28 @@
 #include "vdb_nns/error.h"
 #include "vdb_nns/version.h"
 
+#include <algorithm>
 #include <csignal>
-#include <cstdio>
 #include <new>
+#include <utility>
 
 namespace vdb_nns::cli {
 namespace {
 
 void printError(const Session& session, const std::string& message)
 {
-    const bool named = session.path.empty() || message.find(session.path) != std::string::npos;
+    const bool isOther = !session.otherPath.empty() && message.rfind(session.otherPath + ":", 0) == 0;
+    const bool named = session.path.empty() || isOther || message.find(session.path) != std::string::npos;
     const std::string grid = session.grid.empty() ? "" : " (grid " + session.grid + ")";
     const std::string subject = named ? "" : session.path + grid + ": ";
-    std::fprintf(stderr, "vdb_nns: error: %s%s\n", subject.c_str(), message.c_str());
+    say("error: " + subject + message);
+}
+
+int explainStop(int signal)
+{
+    const char* const name = signal == SIGHUP ? "SIGHUP" : signal == SIGTERM ? "SIGTERM" : "SIGINT";
+    say(std::string("stopped by ") + name);
+    return signal == SIGHUP ? kHungUp : signal == SIGTERM ? kTerminated : kInterrupted;
 }
 
 // The one place where exceptions become exit codes; called inside a catch block.
@@ -41,13 +51,9 @@ int explainException(const Session& session)
     } catch (const InputError& e) {
         return printError(session, e.what()), kBadInput;
     } catch (const CapacityError& e) {
-        printError(session, std::string(e.what()) +
-                                "; the flags are --host-memory, --device-memory, --encoding and --radius");
-        return kNoRoom;
+        return printError(session, std::string(e.what()) + "; " + session.memoryAdvice), kNoRoom;
     } catch (const std::bad_alloc&) {
-        printError(session,
-                   "the memory is used up; set --host-memory, or hold less with --encoding mask or none");
-        return kNoRoom;
+        return printError(session, std::string("the memory is used up; ") + session.memoryAdvice), kNoRoom;
     } catch (const DeviceError& e) {
         return printError(session, e.what()), kNoDevice;
     } catch (const std::exception& e) {
@@ -59,7 +65,11 @@ int explainException(const Session& session)
 // CLI11 has exit codes of its own; help and version are not errors.
 int explainParseError(const CLI::App& app, const CLI::ParseError& error)
 {
-    if (error.get_exit_code() == static_cast<int>(CLI::ExitCodes::Success)) {
+    const bool isAnswer = error.get_exit_code() == static_cast<int>(CLI::ExitCodes::Success);
+    // Why words seem to be missing, or what there is no help for.
+    const std::string unknown = isAnswer && !app.get_subcommands().empty() ? "" : unknownWords(app);
+    if (!unknown.empty()) throw InvalidInput(unknown);
+    if (isAnswer) {
         const bool isVersion = error.get_name() == "CallForVersion";
         writeStdout(isVersion ? std::string(error.what()) + "\n" : app.help());
         return kDone;
@@ -92,14 +102,20 @@ int runCommandLine(int argc, char** argv)
                              "print version, build and instruction sets");
         app.add_flag("--help-markdown", asMarkdown, "print all flags as Markdown tables");
         app.require_subcommand(0, 1);
+        app.allow_extras(); // see unknownWords()
         const std::vector<Command> commands = {addSearchCommand(app), addPlanCommand(app),
                                                addSceneCommand(app),  addVerifyCommand(app),
                                                addBenchCommand(app),  addInfoCommand(app)};
+        for (const Command& command : commands) command.app->allow_extras();
+        std::vector<std::string> words = withHelp({argv + std::min(argc, 1), argv + argc});
+        std::reverse(words.begin(), words.end()); // as the parser wants them
         try {
-            app.parse(argc, argv);
+            app.parse(std::move(words));
         } catch (const CLI::ParseError& error) {
             return explainParseError(app, error);
         }
+        const std::string unknown = unknownWords(app);
+        if (!unknown.empty()) throw InvalidInput(unknown);
         return runCommand(app, commands, asMarkdown, session);
     } catch (...) {
         return explainException(session);

@@ -1,12 +1,12 @@
 #include "cli_options.h"
 
 #include "report.h"
+#include "standard_streams.h"
 #include "threads.h"
 #include "vdb_nns/error.h"
-#include "vdb_nns/point_file.h"
 
 #include <cctype>
-#include <cstdio>
+#include <cmath>
 #include <filesystem>
 
 namespace vdb_nns::cli {
@@ -62,11 +62,7 @@ void addCommonFlags(CLI::App& app, CommonFlags& flags)
 
 int threadCount(const CommonFlags& flags)
 {
-    const std::uint64_t count = parseCount(flags.threads, "--threads");
-    if (count > static_cast<std::uint64_t>(kMostThreads)) {
-        throw InvalidInput("--threads: " + flags.threads + " is more than the limit of 1024; give 0 for all");
-    }
-    return static_cast<int>(count);
+    return static_cast<int>(parseRange(flags.threads, "--threads", 0, kMostThreads));
 }
 
 ProgressMode progressMode(const CommonFlags& flags)
@@ -175,9 +171,11 @@ double chooseRadius(const std::string& text, const std::optional<double>& sugges
     if (!suggested) {
         throw InvalidInput(path + ": no radius: give -r RADIUS (the file has no suggested_radius)");
     }
-    if (!quiet)
-        std::fprintf(stderr, "vdb_nns: %s suggests the radius %s\n", path.c_str(),
-                     shortest(*suggested).c_str());
+    if (!(*suggested > 0) || !std::isfinite(*suggested)) {
+        throw InvalidInput(path + ": the file's suggested_radius is " + shortest(*suggested) +
+                           ", which is no radius; give -r RADIUS");
+    }
+    if (!quiet) say(path + " suggests the radius " + shortest(*suggested));
     return *suggested;
 }
 

@@ -22,6 +22,9 @@ namespace vdb_nns::cli {
 std::uint64_t parseSize(const std::string& text, const std::string& flag);
 /// A whole number; k M G are powers of 1000: "4M", "65.6M".
 std::uint64_t parseCount(const std::string& text, const std::string& flag);
+/// A whole number from `low` to `high`, digits alone.
+std::uint64_t parseRange(const std::string& text, const std::string& flag, std::uint64_t low,
+                         std::uint64_t high);
 /// The double nearest to the text; positive and finite.
 double parsePositive(const std::string& text, const std::string& flag);
 /// The double nearest to the text; finite.

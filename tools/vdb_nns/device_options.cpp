@@ -100,22 +100,6 @@ double parseLatency(const std::string& text, const std::string& what)
                          "microseconds above 0, e.g. 20us, or seconds, e.g. 2e-5s");
 }
 
-std::uint64_t parseRange(const std::string& text, const std::string& what, std::uint64_t low,
-                         std::uint64_t high)
-{
-    const auto fail = [&] {
-        throw InvalidInput(what + ": '" + text + "' is not possible; give " + std::to_string(low) + " to " +
-                           std::to_string(high));
-    };
-    const bool isNumber =
-        !text.empty() && text.size() < 10 &&
-        std::all_of(text.begin(), text.end(), [](unsigned char c) { return std::isdigit(c); });
-    if (!isNumber) fail();
-    const std::uint64_t number = std::strtoull(text.c_str(), nullptr, 10);
-    if (number < low || number > high) fail();
-    return number;
-}
-
 void setSimKey(const std::string& key, const std::string& value, const std::string& spec,
                DeviceLimits& device)
 {

@@ -3,6 +3,7 @@
 
 #include "vdb_nns/error.h"
 
+#include <algorithm>
 #include <cctype>
 #include <charconv>
 #include <cmath>
@@ -90,6 +91,22 @@ std::uint64_t parseCount(const std::string& text, const std::string& flag)
         throw InvalidInput(flag + ": '" + text + "' is not a whole number");
     }
     return count;
+}
+
+std::uint64_t parseRange(const std::string& text, const std::string& flag, std::uint64_t low,
+                         std::uint64_t high)
+{
+    const auto fail = [&] {
+        throw InvalidInput(flag + ": '" + text + "' is not possible; give " + std::to_string(low) + " to " +
+                           std::to_string(high));
+    };
+    const bool isNumber =
+        !text.empty() && text.size() < 10 &&
+        std::all_of(text.begin(), text.end(), [](unsigned char c) { return std::isdigit(c); });
+    if (!isNumber) fail();
+    const std::uint64_t number = std::strtoull(text.c_str(), nullptr, 10);
+    if (number < low || number > high) fail();
+    return number;
 }
 
 double parseNumber(const std::string& text, const std::string& flag)

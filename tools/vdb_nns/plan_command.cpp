@@ -46,6 +46,8 @@ void addFlags(CLI::App& app, PlanFlags& flags)
         ->type_name("FILE")
         ->check(notEmpty());
     addCommonFlags(app, flags.common);
+    app.get_option("--threads")
+        ->description("threads to plan with; 0: all. The plan itself is one for all threads that there are");
 }
 
 // Everything that can be wrong without reading a byte.
@@ -122,10 +124,11 @@ int planFile(const PlanFlags& flags, SearchOptions options, const DeviceRequest&
 
 int runPlanCommand(const PlanFlags& flags, Session& session)
 {
+    session.memoryAdvice = kMemoryFlags;
     const int wanted = threadCount(flags.common);
     SearchOptions options = checkFlags(flags);
     ThreadLimit threads(wanted);
-    const DeviceRequest request = deviceRequest(flags.device, threads.count());
+    const DeviceRequest request = deviceRequest(flags.device, tbb::info::default_concurrency());
     options.wideCells = request.devices.empty(); // masks are sent over the link
     return threads.run([&] { return planFile(flags, options, request, threads.count(), session); });
 }

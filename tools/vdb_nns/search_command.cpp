@@ -133,12 +133,24 @@ Encoding chooseEncoding(const SearchFlags& flags, const SearchPlan& plan)
     return flags.checksum ? Encoding::kMask : Encoding::kNone;
 }
 
+// A bound that the program passes before it has read a point is mostly a number whose unit was forgotten.
+void checkHostMemory(const std::string& text, std::uint64_t bytes)
+{
+    const std::uint64_t own = residentMemoryBytes();
+    if (bytes == 0 || bytes > own) return;
+    throw CapacityError("--host-memory: '" + text + "' is " + countText(bytes) +
+                            " bytes, and the program itself takes " + bytesText(own) +
+                            " before it has read a point; give more, e.g. 4G",
+                        own, bytes);
+}
+
 // Everything that can be wrong without reading a byte.
 SearchPlan checkFlags(const SearchFlags& flags)
 {
     SearchPlan plan;
     if (!flags.input.radius.empty()) plan.radius = parsePositive(flags.input.radius, "--radius");
     plan.options = searchOptions(flags.engine, nullptr);
+    checkHostMemory(flags.engine.hostMemory, plan.options.hostMemoryBytes);
     plan.threads = threadCount(flags.common);
     plan.repeat = parseCount(flags.repeat, "--repeat");
     if (plan.repeat == 0) throw InvalidInput("--repeat: 0 runs are none; give 1 or more");
@@ -397,6 +409,7 @@ int searchFile(const SearchFlags& flags, SearchPlan plan, int threads, Session& 
 
 int runSearchCommand(const SearchFlags& flags, Session& session)
 {
+    session.memoryAdvice = kMemoryFlags;
     SearchPlan plan = checkFlags(flags);
     ThreadLimit threads(plan.threads);
     plan.devices = deviceRequest(flags.device, threads.count());

@@ -101,6 +101,7 @@ int verifyFile(const VerifyFlags& flags, const VerifyOptions& options, Session& 
     const PointFile file = PointFile::read(flags.input.path, flags.input.grid, &progress);
     session.path = flags.input.path;
     session.grid = flags.input.grid;
+    session.otherPath = flags.lists;
     const std::optional<double> suggested =
         flags.input.radius.empty() ? file.info().suggestedRadius : std::optional<double>();
     const double radius = chooseRadius(flags.input.radius, suggested, flags.input.path, flags.common.quiet);
