@@ -1,6 +1,7 @@
 // See memory.h.
 #include "util/memory.h"
 
+#include "util/cgroup_memory.h"
 #include "vdb_nns/error.h"
 
 #include <algorithm>
@@ -24,19 +25,7 @@ std::uint64_t readNumber(const char* path, std::uint64_t otherwise)
 {
     std::ifstream file(path);
     std::uint64_t value = 0;
-    return file >> value ? value : otherwise; // "max" does not parse: no limit
-}
-
-std::uint64_t cgroupFreeBytes()
-{
-    constexpr std::uint64_t none = std::numeric_limits<std::uint64_t>::max();
-    std::uint64_t limit = readNumber("/sys/fs/cgroup/memory.max", none);
-    std::uint64_t used = readNumber("/sys/fs/cgroup/memory.current", 0);
-    if (limit == none) {
-        limit = readNumber("/sys/fs/cgroup/memory/memory.limit_in_bytes", none);
-        used = readNumber("/sys/fs/cgroup/memory/memory.usage_in_bytes", 0);
-    }
-    return limit > used ? limit - used : 0;
+    return file >> value ? value : otherwise;
 }
 
 // What a limit on the address space (ulimit -v) leaves.

@@ -62,8 +62,8 @@ private:
     std::size_t mSize = 0;
 };
 
-// Bytes that this process may still take: what the machine has available, the cgroup's limit respected, less a reserve
-// of 1/16 for everything else. Read from /proc and /sys; a large constant where they are missing.
+// Bytes that this process may still take: what the machine has available, the limits of cgroups and of the address space
+// respected, less a reserve of 1/16 for everything else. Read from /proc and /sys; a large constant where they are missing.
 std::uint64_t availableMemoryBytes();
 
 } // namespace vdb_nns
