@@ -5,7 +5,7 @@ import zipfile
 import numpy as np
 
 import cli_case
-from cli_case import CliCase
+from cli_case import CliCase, limit_address_space
 
 
 class Verify(CliCase):
@@ -109,6 +109,20 @@ class Verify(CliCase):
         self.fails(2, "verify", self.input, self.lists, "-r", "0")
         self.fails(2, "verify", self.input, self.lists, "-r", "0.1", "--sample", "0", says="--sample")
         self.fails(2, "verify", self.input, self.lists)
+
+    def test_too_little_memory(self):
+        """Lists that do not fit are no fault of their file; a way of reading that needs less may pass."""
+        points, large = self.npy("one_point.npy", np.zeros((4000, 3))), self.path("large.npz") # 80 MB
+        self.succeeds("search", points, "-r", "1", "-o", large, "-q")
+
+        def verify(megabytes, *files):
+            return cli_case.run("verify", *files, "-r", "0.1", "-T", "1", "--sample", "10", "-q",
+                                preexec_fn=limit_address_space(megabytes << 20))
+        least = next(m for m in range(64, 4096, 8) if verify(m, self.input, self.lists).code == 0)
+        for more in (16, 32, 48):
+            done = verify(least + more, points, large)
+            self.assertIn(done.code, (0, 4), done.err)
+            self.assertNotIn("--encoding", done.err) # verify has no such flag
 
     def test_every_scene_verifies(self):
         for name in ("block", "clusters", "lattice", "seam", "far", "sheet", "spray", "dam_break"):

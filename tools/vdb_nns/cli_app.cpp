@@ -107,6 +107,7 @@ int runCommandLine(int argc, char** argv)
                                                addSceneCommand(app),  addVerifyCommand(app),
                                                addBenchCommand(app),  addInfoCommand(app)};
         for (const Command& command : commands) command.app->allow_extras();
+        app.footer("vdb_nns help COMMAND says more."); // last: commands made after it would have it too
         std::vector<std::string> words = withHelp({argv + std::min(argc, 1), argv + argc});
         std::reverse(words.begin(), words.end()); // as the parser wants them
         try {

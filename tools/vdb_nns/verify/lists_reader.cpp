@@ -28,7 +28,13 @@ public:
         if (regular && status.st_size > 0) {
             const auto size = static_cast<std::size_t>(status.st_size);
             void* address = ::mmap(nullptr, size, PROT_READ, MAP_PRIVATE, descriptor, 0);
-            if (address != MAP_FAILED) mRange = {static_cast<const unsigned char*>(address), size};
+            if (address != MAP_FAILED) {
+                mRange = {static_cast<const unsigned char*>(address), size};
+            } else if (errno == ENOMEM) {
+                ::close(descriptor);
+                throw CapacityError(path + ": its " + std::to_string(size) + " bytes do not fit the memory",
+                                    size, 0);
+            }
         }
         ::close(descriptor);
         if (!regular) throw InputError(path + ": is not a regular file");
