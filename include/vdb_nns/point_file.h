@@ -38,18 +38,29 @@ struct PointFileInfo {
     std::optional<double> suggestedRadius; ///< world units, metadata `suggested_radius`
 };
 
+struct PointFileOptions {
+    /// Name of the point grid of a .vdb; empty: the only one.
+    std::string grid;
+
+    /// Bytes that reading may take; 0: what is free (availableMemoryBytes()). Held against the size of the file before it
+    /// is read, and of a text against its positions too. A .vdb may take more, as it is mostly compressed.
+    std::uint64_t hostMemoryBytes = 0;
+
+    /// Told how far reading is, and asked whether to stop; may be null.
+    Progress* progress = nullptr;
+};
+
 /// A point file in memory. Copies share it.
 class PointFile {
 public:
     /// Reads a point file; the format is told by the extension (.vdb .npy .ply .xyz, any case).
-    /// @param grid name of the point grid of a .vdb; empty: the only one.
     /// @throws InvalidInput for an unknown extension, an unknown grid name, several point grids and no name (the
     ///         message lists them), or a grid name given with an array file
     /// @throws InputError when the file is missing, unreadable, truncated, damaged or not supported (frustum
     ///         transform, singular matrix, a P that is not vec3s with codec null, trnc, fxpt16 or fxpt8)
+    /// @throws CapacityError when the points do not fit the memory
     /// @throws Cancelled
-    static PointFile read(const std::string& path, const std::string& grid = {},
-                          Progress* progress = nullptr);
+    static PointFile read(const std::string& path, const PointFileOptions& options = {});
 
     /// The positions. Keeps the file's memory alive.
     const ParticleView& view() const;

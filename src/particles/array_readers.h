@@ -9,12 +9,15 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <string>
 #include <vector>
 
 namespace vdb_nns {
 
 using FileBytes = Span<const unsigned char>;
+
+constexpr std::uint64_t kAnyBytes = std::numeric_limits<std::uint64_t>::max();
 
 // More positions than a particle number can count are refused by every reader.
 constexpr std::uint64_t kMaxFilePoints = 0xFFFFFFFFu;
@@ -41,11 +44,15 @@ NpyLayout parseNpy(const std::string& path, FileBytes bytes);
 // The Stanford polygon format: ascii, binary little-endian or big-endian; x y z of element `vertex` as float
 // or double. Other elements and properties, lists too, are walked over.
 // http://paulbourke.net/dataformats/ply/
-PositionArray parsePly(const std::string& path, FileBytes bytes);
+// Throws CapacityError where the positions take more than `allowedBytes`.
+PositionArray parsePly(const std::string& path, FileBytes bytes, std::uint64_t allowedBytes = kAnyBytes);
 
 // Text, three numbers a line, more columns ignored; `#` starts a comment; blank lines are ignored. A first
 // line of one integer (a particle count, as chemistry's .xyz has) is refused, since what follows it is then
-// no list of positions.
-PositionArray parseXyz(const std::string& path, FileBytes bytes);
+// no list of positions. Throws CapacityError where a position for every line takes more than `allowedBytes`.
+PositionArray parseXyz(const std::string& path, FileBytes bytes, std::uint64_t allowedBytes = kAnyBytes);
+
+// Throws the CapacityError of a file whose points need more than may be taken.
+void checkPointsFit(const std::string& path, std::uint64_t neededBytes, std::uint64_t allowedBytes);
 
 } // namespace vdb_nns

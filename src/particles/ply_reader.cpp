@@ -272,7 +272,7 @@ void checkCounts(const std::string& path, const PlyHeader& header, std::size_t f
 
 } // namespace
 
-PositionArray parsePly(const std::string& path, FileBytes bytes)
+PositionArray parsePly(const std::string& path, FileBytes bytes, std::uint64_t allowedBytes)
 {
     const PlyHeader header = PlyHeaderReader(path, bytes).read();
     checkCounts(path, header, bytes.size());
@@ -284,6 +284,7 @@ PositionArray parsePly(const std::string& path, FileBytes bytes)
         throw InputError(path + ": " + std::to_string(vertex->count) + " points are more than the " +
                          std::to_string(kMaxFilePoints) + " that fit; split the file");
     }
+    checkPointsFit(path, vertex->count * 3 * (layout.isDouble ? sizeof(double) : sizeof(float)), allowedBytes);
     if (header.format == PlyFormat::kAscii) {
         TextValues values(path, bytes, header.bytes);
         return readBody(values, header, *vertex, layout);

@@ -50,8 +50,8 @@ struct ArrayStorage {
 // One read call each: large enough for the disk, small enough that threads share the copy out of the page
 // cache.
 constexpr std::size_t kReadBytes = std::size_t(8) << 20;
-// Positions decoded at once by a task of info(): 3 arrays of 32 KB.
-constexpr std::size_t kInfoBlock = 4096;
+// Positions decoded at once by a task of info(): 3 arrays of 4 KB on its stack.
+constexpr std::size_t kInfoBlock = 512;
 
 class InputDescriptor {
 public:
@@ -143,7 +143,8 @@ ParticleView viewOfNpy(PageBlock& block, const NpyLayout& layout)
 }
 
 // Reads the file of `info` and notes the type of its values there.
-ParticleView readArray(const InputDescriptor& file, const CancelCheck& cancel, PointFileInfo& info)
+ParticleView readArray(const InputDescriptor& file, std::uint64_t allowedBytes, const CancelCheck& cancel,
+                       PointFileInfo& info)
 {
     const auto storage = std::make_shared<ArrayStorage>();
     ArrayStorage& data = *storage;
@@ -155,7 +156,9 @@ ParticleView readArray(const InputDescriptor& file, const CancelCheck& cancel, P
         isDouble = layout.isDouble;
         data.view = isDouble ? viewOfNpy<double>(data.bytes, layout) : viewOfNpy<float>(data.bytes, layout);
     } else {
-        data.positions = info.format == "ply" ? parsePly(info.path, bytes) : parseXyz(info.path, bytes);
+        const std::uint64_t left = allowedBytes - file.bytes();
+        data.positions =
+            info.format == "ply" ? parsePly(info.path, bytes, left) : parseXyz(info.path, bytes, left);
         data.bytes = {};
         const PositionArray& positions = data.positions;
         isDouble = positions.floats.empty();
@@ -234,7 +237,16 @@ void measure(const ParticleSource& source, PointFileInfo& info)
 
 } // namespace
 
-PointFile PointFile::read(const std::string& path, const std::string& grid, Progress* progress)
+void checkPointsFit(const std::string& path, std::uint64_t neededBytes, std::uint64_t allowedBytes)
+{
+    if (neededBytes <= allowedBytes) return;
+    throw CapacityError(path + ": its points alone need " + std::to_string(neededBytes) +
+                            " bytes of memory to be read, allowed are " + std::to_string(allowedBytes) +
+                            ": allow more host memory, split the file, or use a machine with more",
+                        neededBytes, allowedBytes);
+}
+
+PointFile PointFile::read(const std::string& path, const PointFileOptions& options)
 {
     PointFile result;
     result.mData = std::make_shared<Data>();
@@ -250,28 +262,32 @@ PointFile PointFile::read(const std::string& path, const std::string& grid, Prog
         throw InvalidInput(path + ": unknown extension '" + format +
                            "'; point files are .vdb, .npy, .ply and .xyz");
     }
-    if (format != "vdb" && !grid.empty()) {
-        throw InvalidInput(path + ": a ." + format + " file has no grids; leave the grid name '" + grid +
-                           "' out");
+    if (format != "vdb" && !options.grid.empty()) {
+        throw InvalidInput(path + ": a ." + format + " file has no grids; leave the grid name '" +
+                           options.grid + "' out");
     }
     const InputDescriptor file(path);
+    const std::uint64_t allowedBytes =
+        options.hostMemoryBytes ? options.hostMemoryBytes : availableMemoryBytes();
+    checkPointsFit(path, file.bytes(), allowedBytes);
     const auto readFile = [&] {
         if (format == "vdb") {
-            data.vdb = VdbFile::read(path, grid, progress);
+            data.vdb = VdbFile::read(path, options.grid, options.progress);
             data.view = data.vdb->view();
             data.vdb->describe(data.info);
         } else {
-            const CancelCheck cancel(progress, "read");
+            const CancelCheck cancel(options.progress, "read");
             cancel.update(0);
-            data.view = readArray(file, cancel, data.info);
+            data.view = readArray(file, allowedBytes, cancel, data.info);
             cancel.update(1);
         }
     };
     try {
         isolated(readFile);
     } catch (const std::bad_alloc&) {
-        throw InputError(path + ": its " + std::to_string(file.bytes()) +
-                         " bytes do not fit the memory; split the file or use a machine with more");
+        throw CapacityError(path + ": the points of its " + std::to_string(file.bytes()) +
+                                " bytes do not fit the memory: split the file or use a machine with more",
+                            file.bytes(), allowedBytes);
     }
     return result;
 }

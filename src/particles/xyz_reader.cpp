@@ -26,6 +26,7 @@ struct Fault {
 struct Chunk {
     const char* begin;
     const char* end;
+    std::size_t lines; // comments and blank ones too
     std::vector<double> values;
     std::optional<Fault> fault; // the first one of the chunk
 };
@@ -77,6 +78,7 @@ const char* readNumber(const char*& next, const char* end, double& value)
 
 void readChunk(Chunk& chunk, const char* fileBegin)
 {
+    chunk.values.reserve(3 * chunk.lines);
     for (const char* line = chunk.begin; line != chunk.end;) {
         const char* const lineEnd = findLineEnd(line, chunk.end);
         const char* next = skipBlanks(line, lineEnd);
@@ -103,7 +105,7 @@ std::vector<Chunk> cutIntoChunks(const char* begin, const char* end)
             cut = findLineEnd(begin + kChunkBytes, end);
             if (cut != end) ++cut;
         }
-        chunks.push_back({begin, cut, {}, std::nullopt});
+        chunks.push_back({begin, cut, 0, {}, std::nullopt});
         begin = cut;
     }
     return chunks;
@@ -134,13 +136,21 @@ void refuseCountLine(const std::string& path, const char* begin, const char* end
 
 } // namespace
 
-PositionArray parseXyz(const std::string& path, FileBytes bytes)
+PositionArray parseXyz(const std::string& path, FileBytes bytes, std::uint64_t allowedBytes)
 {
     const char* const begin = reinterpret_cast<const char*>(bytes.data());
     const char* const end = begin + bytes.size();
     refuseCountLine(path, begin, end);
 
     std::vector<Chunk> chunks = cutIntoChunks(begin, end);
+    tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t i) {
+        Chunk& chunk = chunks[i];
+        chunk.lines = 1 + static_cast<std::size_t>(std::count(chunk.begin, chunk.end, '\n'));
+    });
+    std::uint64_t lines = 0;
+    for (const Chunk& chunk : chunks) lines += chunk.lines;
+    // Read by chunks, then put together.
+    checkPointsFit(path, 2 * lines * 3 * sizeof(double), allowedBytes);
     tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t i) { readChunk(chunks[i], begin); });
 
     PositionArray result;

@@ -1,5 +1,7 @@
-// Large buffers on huge pages, and how much memory there is. Knows only the operating system.
+// Large buffers on huge pages, and (vdb_nns/memory.h) how much memory there is. Knows only the operating system.
 #pragma once
+
+#include "vdb_nns/memory.h"
 
 #include <cstddef>
 #include <cstdint>
@@ -61,9 +63,5 @@ private:
     PageBlock mBlock;
     std::size_t mSize = 0;
 };
-
-// Bytes that this process may still take: what the machine has available, the limits of cgroups and of the address space
-// respected, less a reserve of 1/16 for everything else. Read from /proc and /sys; a large constant where they are missing.
-std::uint64_t availableMemoryBytes();
 
 } // namespace vdb_nns

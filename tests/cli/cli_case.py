@@ -1,5 +1,6 @@
 """What the command line tests share: running the program, and files to run it on."""
 import collections
+import contextlib
 import json
 import os
 import resource
@@ -46,6 +47,39 @@ def limit_file_size(size):
 def limit_address_space(size):
     """For preexec_fn: the process maps no more than `size` bytes."""
     return lambda: resource.setrlimit(resource.RLIMIT_AS, (size, size))
+
+
+@contextlib.contextmanager
+def memory_group(limit):
+    """A control group of `limit` bytes below that of this process; gives what preexec_fn has to call to enter it. Skips
+    the test where none can be made."""
+    with open("/proc/self/cgroup") as file:
+        groups = [line.strip().split(":", 2) for line in file]
+    choices = [("/sys/fs/cgroup/memory" + group, "memory.limit_in_bytes")
+               for _, controllers, group in groups if "memory" in controllers.split(",")]
+    choices += [("/sys/fs/cgroup" + group, "memory.max") for _, controllers, group in groups if not controllers]
+    for parent, limit_name in choices:
+        folder = os.path.join(parent, f"vdb_nns_{os.getpid()}_{limit >> 20}")
+        try:
+            os.mkdir(folder)
+        except OSError:
+            continue
+        try:
+            with open(os.path.join(folder, limit_name), "r+") as file:
+                file.write(str(limit))
+        except OSError:  # a group without the memory controller
+            os.rmdir(folder)
+            continue
+
+        def enter():
+            with open(os.path.join(folder, "cgroup.procs"), "w") as file:
+                file.write(str(os.getpid()))
+        try:
+            yield enter
+        finally:
+            os.rmdir(folder)
+        return
+    raise unittest.SkipTest("no control group with a memory limit can be made here")
 
 
 class CliCase(unittest.TestCase):

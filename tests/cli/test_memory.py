@@ -132,6 +132,26 @@ class Bound(CliCase):
 
 
 class TooLittle(CliCase):
+    def test_arrays_larger_than_the_memory(self):
+        ply = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+        for name, head in (("large.xyz", "0 0 0\n"), ("large.ply", ply), ("large.npy", "\x93NUMPY")):
+            path = self.text(name, head)
+            try:
+                os.truncate(path, 1 << 40)
+            except OSError as error:
+                self.skipTest(f"no sparse file of 1 TiB: {error}")
+            for command in (["info", path], ["search", path, "-r", "1"], ["verify", path, "lists.npz", "-r", "1"]):
+                with self.subTest(command=command):
+                    self.fails(4, *command, says=[name, "need 1099511627776 bytes", "allowed are"])
+            os.truncate(path, 10 ** 9)
+            self.fails(4, "search", path, "-r", "1", "--host-memory", "500MB", says=[name, "need 1000000000 bytes"])
+            os.remove(path)
+
+    def test_text_whose_positions_do_not_fit(self):
+        path = self.text("dense.xyz", "0 0 0\n" * 4000000)  # 24 MB, and 24 bytes for each position, twice
+        self.fails(4, "search", path, "-r", "1", "--host-memory", "180MB",
+                   says=["dense.xyz", "need 19200", "of memory to be read"])
+
     def test_less_than_the_points(self):
         path = self.scene()
         for size in ("10K", "20MB"):
@@ -151,6 +171,19 @@ class TooLittle(CliCase):
         done = self.fails(4, "search", path, "-r", "0.15", "-o", self.path("x.npz"), "--host-memory", "147MB", "-T",
                           "1", says=["the grid and the counts of 2000000 particles need", "bytes", "--host-memory"])
         self.assertIn("index lists need", done.err)
+
+
+class InAControlGroup(CliCase):
+    def test_it_is_not_killed(self):
+        path, free, out = self.scene("block", 2000000), self.path("free.npz"), self.path("bounded.npz")
+        self.succeeds("search", path, "-r", "0.2", "-o", free, "-q")
+        for megabytes, expected in ((100, 4), (150, 4), (250, 0), (400, 0)):
+            with self.subTest(megabytes=megabytes), cli_case.memory_group(megabytes << 20) as enter:
+                done = cli_case.run("search", path, "-r", "0.2", "-o", out, "-f", "-T", "2", preexec_fn=enter)
+                self.assertEqual(done.code, expected, done.err)
+                if expected == 0:
+                    self.assertRegex(done.err, "allowed are .* straight to the file instead")
+                    self.assertTrue(filecmp.cmp(free, out, shallow=False))
 
 
 class WideCells(CliCase):

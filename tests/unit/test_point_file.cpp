@@ -491,12 +491,12 @@ TEST_F(PointFileTest, choosesAGrid)
 
     writeFile("one.vdb", {volume, a}, 0);
     EXPECT_EQ(PointFile::read(path("one.vdb")).info().grid, "a");
-    EXPECT_EQ(PointFile::read(path("one.vdb"), "a").view().size(), 10u);
-    EXPECT_THROW(PointFile::read(path("one.vdb"), "volume"), InvalidInput);
-    EXPECT_THROW(PointFile::read(path("one.vdb"), "c"), InvalidInput);
+    EXPECT_EQ(PointFile::read(path("one.vdb"), {"a"}).view().size(), 10u);
+    EXPECT_THROW(PointFile::read(path("one.vdb"), {"volume"}), InvalidInput);
+    EXPECT_THROW(PointFile::read(path("one.vdb"), {"c"}), InvalidInput);
 
     writeFile("two.vdb", {b, volume, a}, 0);
-    EXPECT_EQ(PointFile::read(path("two.vdb"), "b").view().size(), 20u);
+    EXPECT_EQ(PointFile::read(path("two.vdb"), {"b"}).view().size(), 20u);
     try {
         PointFile::read(path("two.vdb"));
         ADD_FAILURE() << "no error";
@@ -505,10 +505,10 @@ TEST_F(PointFileTest, choosesAGrid)
     }
 
     writeFile("same.vdb", {a, unnamed, makeGrid<points::NullCodec>(40, "a")}, 0);
-    EXPECT_THROW(PointFile::read(path("same.vdb"), "a"), InvalidInput);
-    EXPECT_EQ(PointFile::read(path("same.vdb"), "a[0]").view().size(), 10u);
-    EXPECT_EQ(PointFile::read(path("same.vdb"), "a[1]").view().size(), 40u);
-    EXPECT_EQ(PointFile::read(path("same.vdb"), "[0]").view().size(), 30u);
+    EXPECT_THROW(PointFile::read(path("same.vdb"), {"a"}), InvalidInput);
+    EXPECT_EQ(PointFile::read(path("same.vdb"), {"a[0]"}).view().size(), 10u);
+    EXPECT_EQ(PointFile::read(path("same.vdb"), {"a[1]"}).view().size(), 40u);
+    EXPECT_EQ(PointFile::read(path("same.vdb"), {"[0]"}).view().size(), 30u);
     EXPECT_EQ(PointFile::read(writeFile("unnamed.vdb", {unnamed}, 0)).view().size(), 30u);
 
     EXPECT_THROW(PointFile::read(writeFile("none.vdb", {volume}, 0)), InputError);
@@ -529,7 +529,7 @@ TEST_F(PointFileTest, refusesWhatIsNoPointFile)
     create(path("empty.vdb"), "");
     EXPECT_THROW(PointFile::read(path("empty.vdb")), InputError);
     create(path("a.xyz"), "1 2 3\n");
-    EXPECT_THROW(PointFile::read(path("a.xyz"), "points"), InvalidInput);
+    EXPECT_THROW(PointFile::read(path("a.xyz"), {"points"}), InvalidInput);
 
     std::string old = contents(writeFile("a.vdb", {makeGrid<points::NullCodec>(10)}, 0));
     old[8] = static_cast<char>(222);
@@ -645,7 +645,7 @@ TEST_F(PointFileTest, writesTheSameFileWithCounts)
 
     for (const std::uint32_t compression : {0u, 1u, 4u, kDefaultCompression}) {
         const std::string input = writeFile("in.vdb", {fog, instance, grid, second}, compression, metadata);
-        const PointFile file = PointFile::read(input, "fluid[0]");
+        const PointFile file = PointFile::read(input, {"fluid[0]"});
         const std::vector<std::uint32_t> counts = numbered(5000);
         file.writeVdb(path("out.vdb"), {counts.data(), counts.size()}, "nns_", kOverwrite);
         checkView(file.view(), *grid); // the file in memory is as before

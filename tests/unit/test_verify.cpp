@@ -130,6 +130,20 @@ TEST_F(Verify, RightListsOfEveryDistributionPass)
     }
 }
 
+TEST_F(Verify, ListsThatAreCutOffMeanwhileAreAnError)
+{
+    const PointSet set = line();
+    writeBytes(mPath, zipBytes(listMembers(rawLists(lineRows()))));
+    const cli::ListsFile lists = cli::ListsFile::open(mPath);
+    std::filesystem::resize_file(mPath, 100);
+    try {
+        cli::verifyLists(viewOf(set), set.radius, lists, {});
+        FAIL() << "a file that is not there any more was verified";
+    } catch (const InputError& error) {
+        EXPECT_NE(std::string(error.what()).find("became shorter"), std::string::npos) << error.what();
+    }
+}
+
 TEST_F(Verify, TiesAreDecidedExactly)
 {
     for (const PointSet& set : gridSets()) {

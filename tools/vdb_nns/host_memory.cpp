@@ -2,6 +2,7 @@
 
 #include "machine.h"
 #include "vdb_nns/error.h"
+#include "vdb_nns/memory.h"
 #include "vdb_nns/particle_view.h"
 
 #include <algorithm>
@@ -16,8 +17,9 @@ constexpr std::uint64_t kArrayReserve = 24 * kMiB;
 constexpr std::uint64_t kThreadReserve = 4 * kMiB;
 // writeNpz(): two blocks of 2 M pairs and their ends.
 constexpr std::uint64_t kNpzWriter = 52 * kMiB;
-// What a thread of writeNpzDirect() collects: enough for writes of many rows; more than the largest need not be.
-constexpr std::uint64_t kLeastBuffer = 1 * kMiB, kLargestBuffer = 256 * kMiB;
+// What a thread of writeNpzDirect() collects: enough for writes of many rows; more than the largest need not be, and
+// without a bound not more than usual.
+constexpr std::uint64_t kLeastBuffer = 1 * kMiB, kUsualBuffer = 64 * kMiB, kLargestBuffer = 256 * kMiB;
 // OpenVDB's writer; and the counts and the attribute, for each particle.
 constexpr std::uint64_t kVdbWriter = 16 * kMiB, kVdbWriterPerPoint = 8;
 // The tasks of a search, for each leaf; and for each the start of its mask rows, once more while they are ordered.
@@ -35,9 +37,16 @@ std::uint64_t difference(std::uint64_t from, std::uint64_t bytes)
 } // namespace
 
 HostMemory::HostMemory(std::uint64_t boundBytes, int threads, const OutputKinds& outputs)
-    : mBoundBytes(boundBytes), mThreads(static_cast<std::uint64_t>(threads)), mOutputs(outputs)
+    : mBoundBytes(boundBytes), mThreads(static_cast<std::uint64_t>(threads)), mOutputs(outputs),
+      mReserveBytes(kArrayReserve + mThreads * kThreadReserve)
 {
     if (isBounded()) returnFreedMemory();
+}
+
+std::uint64_t HostMemory::readBytes() const
+{
+    if (!isBounded()) return 0;
+    return std::max<std::uint64_t>(1, difference(mBoundBytes, residentMemoryBytes())); // 0 would be no bound
 }
 
 void HostMemory::beginSearch()
@@ -45,7 +54,6 @@ void HostMemory::beginSearch()
     if (!isBounded()) return;
     returnFreedMemory();
     mUsedBytes = residentMemoryBytes();
-    mReserveBytes = kArrayReserve + mThreads * kThreadReserve;
     // Reading may have taken more than it kept.
     const std::uint64_t needed = std::max(peakMemoryBytes(), mUsedBytes + mReserveBytes);
     if (needed >= mBoundBytes) {
@@ -54,6 +62,13 @@ void HostMemory::beginSearch()
                             needed, mBoundBytes);
     }
     mFreeBytes = mBoundBytes - mUsedBytes - mReserveBytes;
+}
+
+void HostMemory::beginLists(const SparseGrid& grid)
+{
+    if (isBounded() || mFreeBytes > 0) return;
+    mUsedBytes = residentMemoryBytes();
+    mFreeBytes = difference(availableMemoryBytes() + grid.bytes(), mReserveBytes);
 }
 
 // Of the outputs, which are written one after the other, the largest need. Without lists an .npz is written directly.
@@ -66,7 +81,6 @@ std::uint64_t HostMemory::writerBytes(std::uint64_t points, Encoding encoding) c
 
 std::uint64_t HostMemory::listBytes(const SparseGrid& grid, Encoding encoding) const
 {
-    if (!isBounded()) return 0;
     const std::uint64_t points = grid.view().size(), leaves = grid.leafCount();
     std::uint64_t beside = kNumberBytes * points + kTaskBytes * leaves + writerBytes(points, encoding);
     if (encoding == Encoding::kMask) {
@@ -84,16 +98,19 @@ std::uint64_t HostMemory::listBytes(const SparseGrid& grid, Encoding encoding) c
 
 std::uint64_t HostMemory::bufferBytes(const SparseGrid& grid) const
 {
-    if (!isBounded()) return 0;
     const std::uint64_t points = grid.view().size();
     const std::uint64_t held =
         grid.bytes() + (kNumberBytes + kCountBytes + kPlaceBytes) * points + kTaskBytes * grid.leafCount();
-    return std::clamp(difference(mFreeBytes, held), mThreads * kLeastBuffer, mThreads * kLargestBuffer);
+    return std::clamp(difference(mFreeBytes, held), mThreads * kLeastBuffer, mThreads * (isBounded() ? kLargestBuffer : kUsualBuffer));
 }
 
 std::string HostMemory::explanation() const
 {
-    if (!isBounded()) return {};
+    if (!isBounded()) {
+        if (mFreeBytes == 0) return {}; // before there was a grid
+        return " (of the memory that is free beside the program, the points and the grid, " +
+               std::to_string(mReserveBytes) + " are kept for the threads and for what arrays lose)";
+    }
     return " (of --host-memory, which is " + std::to_string(mBoundBytes) +
            ", the program and the points use " + std::to_string(mUsedBytes) + ", and " +
            std::to_string(mReserveBytes) + " are kept for the threads and for what arrays lose)";

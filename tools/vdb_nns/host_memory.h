@@ -1,4 +1,5 @@
-// What --host-memory SIZE, the most memory that the process may have resident, leaves for each step of a search.
+// What --host-memory SIZE, the most memory that the process may have resident, leaves for each step of a search. Without
+// it lists still leave room for what is made beside and after them.
 #pragma once
 
 #include "vdb_nns/neighbor_lists.h"
@@ -17,18 +18,24 @@ struct OutputKinds {
 
 class HostMemory {
 public:
-    /// @param boundBytes 0: no bound; then all functions below return 0 and check nothing.
+    /// @param boundBytes 0: no bound, so that only lists and writers are held against what is free once the grid is made.
     HostMemory(std::uint64_t boundBytes, int threads, const OutputKinds& outputs);
 
     bool isBounded() const { return mBoundBytes > 0; }
     std::uint64_t boundBytes() const { return mBoundBytes; }
+
+    /// PointFileOptions::hostMemoryBytes.
+    std::uint64_t readBytes() const;
 
     /// Takes the points' memory from the bound, once they are read.
     /// @throws CapacityError when nothing is left
     void beginSearch();
 
     /// SearchOptions::hostMemoryBytes while the grid is made.
-    std::uint64_t gridBytes() const { return mFreeBytes; }
+    std::uint64_t gridBytes() const { return isBounded() ? mFreeBytes : 0; }
+
+    /// Without a bound: takes what is free now, beside the grid. Once, before the first lists are made.
+    void beginLists(const SparseGrid& grid);
 
     /// SearchOptions::hostMemoryBytes while lists are made.
     /// @throws CapacityError for counts that do not fit; of other lists the search itself finds that out
@@ -37,7 +44,7 @@ public:
     /// What the threads of writeNpzDirect() may collect together.
     std::uint64_t bufferBytes(const SparseGrid& grid) const;
 
-    /// Where the bound went, as the end of a sentence; empty without bound.
+    /// Where the memory went, as the end of a sentence.
     std::string explanation() const;
 
 private:

@@ -21,7 +21,7 @@ int describeFile(const InfoFlags& flags, Session& session)
 {
     ProgressPrinter progress(progressMode(flags.common));
     progress.begin("read", 0, 1);
-    const PointFile file = PointFile::read(flags.input.path, flags.input.grid, &progress);
+    const PointFile file = PointFile::read(flags.input.path, {flags.input.grid, 0, &progress});
     session.path = flags.input.path;
     const PointFileInfo& info = file.info();
     throwIfStopped();

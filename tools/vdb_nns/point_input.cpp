@@ -10,7 +10,7 @@ PointFile readPoints(const InputFlags& input, const PointNeeds& needs, const Pro
 {
     span.printer.begin("read", span.begin, span.end);
     const Stopwatch watch;
-    PointFile file = PointFile::read(input.path, input.grid, &span.printer);
+    PointFile file = PointFile::read(input.path, {input.grid, needs.hostMemoryBytes, &span.printer});
     report.seconds.read = watch.seconds();
     report.path = session.path = input.path;
     const bool needsInfo = needs.info || needs.failNonfinite || input.radius.empty();

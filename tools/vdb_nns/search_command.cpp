@@ -253,7 +253,7 @@ NeighborLists searchGrid(SearchEngine& engine, SparseGrid grid, const SearchFlag
 
 // Grid and lists, `repeat` times with buffers kept; the last lists are returned.
 NeighborLists runSearch(SearchEngine& engine, const ParticleView& view, double radius,
-                        const SearchFlags& flags, const HostMemory& memory, SearchPlan& plan,
+                        const SearchFlags& flags, HostMemory& memory, SearchPlan& plan,
                         ProgressPrinter& progress, SearchReport& report)
 {
     constexpr double kReadShare = 0.2, kSearchShare = 0.6; // rough shares of a run, for progress only
@@ -272,6 +272,7 @@ NeighborLists runSearch(SearchEngine& engine, const ParticleView& view, double r
         gridSeconds.push_back(gridWatch.seconds());
         progress.begin("search", from + step / 3, from + step);
         const Stopwatch searchWatch;
+        memory.beginLists(grid);
         lists = searchGrid(engine, std::move(grid), flags, memory, plan,
                            {progress, from + step / 3, from + step}, report);
         searchSeconds.push_back(searchWatch.seconds() - report.seconds.estimate.value_or(0) -
@@ -382,7 +383,8 @@ int searchFile(const SearchFlags& flags, SearchPlan plan, int threads, Session& 
     plan.options.progress = &progress;
     SearchReport report;
     report.device.threads = threads;
-    const PointNeeds needs{!flags.common.json.empty(), flags.nonfinite == "fail", flags.common.quiet};
+    const PointNeeds needs{!flags.common.json.empty(), flags.nonfinite == "fail", flags.common.quiet,
+                           memory.readBytes()};
     const PointFile file = readPoints(flags.input, needs, {progress, 0, 0.2}, session, report);
     checkAttribute(flags, plan, file);
 

@@ -34,7 +34,7 @@ BenchPoints fileBenchPoints(const std::string& path, const std::string& grid, bo
 {
     BenchPoints points;
     points.scene = std::filesystem::path(path).filename().string();
-    points.file = PointFile::read(path, grid, progress);
+    points.file = PointFile::read(path, {grid, 0, progress});
     points.view = points.file->view();
     points.suggestedRadius = points.file->info().suggestedRadius;
     if (points.file->info().voxelSize) points.voxelSize = (*points.file->info().voxelSize)[0];

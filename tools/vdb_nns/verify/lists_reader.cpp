@@ -1,15 +1,12 @@
 // See lists_reader.h.
 #include "lists_reader.h"
 
+#include "file_pieces.h"
 #include "vdb_nns/error.h"
 #include "zip_members.h"
 
-#include <fcntl.h>
-#include <sys/mman.h>
-#include <sys/stat.h>
-#include <unistd.h>
-
-#include <cerrno>
+#include <algorithm>
+#include <array>
 #include <cstring>
 #include <vector>
 
@@ -17,68 +14,59 @@ namespace vdb_nns::cli {
 
 namespace {
 
-class Mapping {
-public:
-    explicit Mapping(const std::string& path)
-    {
-        const int descriptor = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
-        if (descriptor < 0) throw InputError(path + ": cannot be opened: " + std::strerror(errno));
-        struct stat status {};
-        const bool regular = ::fstat(descriptor, &status) == 0 && S_ISREG(status.st_mode);
-        if (regular && status.st_size > 0) {
-            const auto size = static_cast<std::size_t>(status.st_size);
-            void* address = ::mmap(nullptr, size, PROT_READ, MAP_PRIVATE, descriptor, 0);
-            if (address != MAP_FAILED) {
-                mRange = {static_cast<const unsigned char*>(address), size};
-            } else if (errno == ENOMEM) {
-                ::close(descriptor);
-                throw CapacityError(path + ": its " + std::to_string(size) + " bytes do not fit the memory",
-                                    size, 0);
-            }
-        }
-        ::close(descriptor);
-        if (!regular) throw InputError(path + ": is not a regular file");
-        if (!mRange.data) throw InputError(path + ": is empty or cannot be mapped");
-    }
-    ~Mapping() { ::munmap(const_cast<unsigned char*>(mRange.data), mRange.size); }
-    Mapping(const Mapping&) = delete;
-    Mapping& operator=(const Mapping&) = delete;
+// No header of a list is longer.
+constexpr std::uint64_t kMostHeaderBytes = std::uint64_t(1) << 20;
+// Elements that are read at once where all are.
+constexpr std::uint64_t kBlockElements = std::uint64_t(1) << 16;
 
-    ByteRange range() const { return mRange; }
-
-private:
-    ByteRange mRange;
-};
-
-// One array of the archive; its bytes need not be aligned.
+// One array of the archive.
 struct Array {
     std::string type; // NumPy's descr, e.g. "<i8"
     std::vector<std::uint64_t> shape;
-    const unsigned char* data = nullptr;
-    std::uint64_t size = 1; // elements
+    std::uint64_t begin = 0; // byte of the file
+    std::uint64_t size = 1;  // elements
 };
 
-template <typename T>
-T load(const unsigned char* data, std::uint64_t index)
+// Elements [first, first + count) of an array of T, converted.
+template <typename T, typename To>
+void readElements(const FilePieces& file, const Array& array, std::uint64_t first, std::uint64_t count, To* out)
 {
-    T value;
-    std::memcpy(&value, data + index * sizeof(T), sizeof(T));
-    return value;
+    std::array<T, 1024> raw;
+    while (count > 0) {
+        const std::uint64_t n = std::min<std::uint64_t>(count, raw.size());
+        file.read(array.begin + first * sizeof(T), raw.data(), n * sizeof(T));
+        for (std::uint64_t k = 0; k < n; ++k) out[k] = static_cast<To>(raw[k]);
+        first += n;
+        count -= n;
+        out += n;
+    }
+}
+
+// The same for arrays of int32 or int64.
+void readIntegers(const FilePieces& file, const Array& array, std::uint64_t first, std::uint64_t count,
+                  std::int64_t* out)
+{
+    if (array.type == "<i8") {
+        readElements<std::int64_t>(file, array, first, count, out);
+    } else {
+        readElements<std::int32_t>(file, array, first, count, out);
+    }
 }
 
 class ArrayParser {
 public:
-    ArrayParser(const std::string& path, const std::string& name, ByteRange bytes)
-        : mWhere(path + ": array '" + name + "' "), mBytes(bytes)
+    ArrayParser(const FilePieces& file, const std::string& name, ByteRange bytes)
+        : mFile(file), mWhere(file.path() + ": array '" + name + "' "), mBytes(bytes)
     {
     }
 
     // `elementBytes` maps the accepted types to their size.
     Array parse(const std::map<std::string, std::uint64_t>& elementBytes) const
     {
-        const std::uint64_t headerEnd = headerRange();
-        const std::uint64_t start = mBytes.data[6] == 1 ? 10 : 12;
-        const std::string header(reinterpret_cast<const char*>(mBytes.data) + start, headerEnd - start);
+        const ByteRange range = headerRange();
+        const std::uint64_t headerEnd = range.begin + range.size;
+        std::string header(range.size, '\0');
+        mFile.read(mBytes.begin + range.begin, header.data(), header.size());
         Array array;
         array.type = between(header, "'descr'", '\'', '\'');
         const auto known = elementBytes.find(array.type);
@@ -91,7 +79,7 @@ public:
         }
         if (array.size * known->second != mBytes.size - headerEnd)
             fail("has another size than its header says");
-        array.data = mBytes.data + headerEnd;
+        array.begin = mBytes.begin + headerEnd;
         return array;
     }
 
@@ -99,15 +87,17 @@ private:
     [[noreturn]] void fail(const std::string& what) const { throw InputError(mWhere + what); }
 
     // NumPy's format, versions 1 to 3: magic, two bytes of version, the length of the header in 2 or 4 bytes.
-    std::uint64_t headerRange() const
+    ByteRange headerRange() const
     {
-        if (mBytes.size < 12 || std::memcmp(mBytes.data, "\x93NUMPY", 6) != 0) fail("is not a .npy array");
-        if (mBytes.data[6] < 1 || mBytes.data[6] > 3) fail("has an unknown version of the .npy format");
-        const std::uint64_t end = mBytes.data[6] == 1
-                                      ? 10 + std::uint64_t(load<std::uint16_t>(mBytes.data + 8, 0))
-                                      : 12 + std::uint64_t(load<std::uint32_t>(mBytes.data + 8, 0));
-        if (end < 12 || end > mBytes.size) fail("has a header that is cut off");
-        return end;
+        std::array<unsigned char, 12> start{};
+        if (mBytes.size >= start.size()) mFile.read(mBytes.begin, start.data(), start.size());
+        if (std::memcmp(start.data(), "\x93NUMPY", 6) != 0) fail("is not a .npy array");
+        if (start[6] < 1 || start[6] > 3) fail("has an unknown version of the .npy format");
+        ByteRange header{start[6] == 1 ? std::uint64_t(10) : 12, start[8] + std::uint64_t(start[9]) * 256};
+        if (start[6] != 1) header.size += std::uint64_t(start[10]) << 16 | std::uint64_t(start[11]) << 24;
+        if (header.size < 2 || header.begin + header.size > mBytes.size) fail("has a header that is cut off");
+        if (header.size > kMostHeaderBytes) fail("has a header of absurd size");
+        return header;
     }
 
     std::string between(const std::string& header, const char* key, char open, char close) const
@@ -138,6 +128,7 @@ private:
         return values;
     }
 
+    const FilePieces& mFile;
     std::string mWhere;
     ByteRange mBytes;
 };
@@ -145,18 +136,11 @@ private:
 } // namespace
 
 struct ListsFile::Data {
-    explicit Data(const std::string& file) : path(file), mapping(file) {}
+    explicit Data(const std::string& path) : file(path) {}
 
-    std::string path;
-    Mapping mapping;
-    const unsigned char *offsets = nullptr, *indices = nullptr, *values = nullptr;
+    FilePieces file;
+    Array offsets, indices, values;
     std::uint64_t rows = 0, pairs = 0;
-    bool wideOffsets = false, wideIndices = false, distances = false;
-
-    std::int64_t offset(std::uint64_t i) const
-    {
-        return wideOffsets ? load<std::int64_t>(offsets, i) : load<std::int32_t>(offsets, i);
-    }
 
     void readArrays();
     void checkOffsets() const;
@@ -164,45 +148,49 @@ struct ListsFile::Data {
 
 void ListsFile::Data::readArrays()
 {
-    const auto members = zipMembers(path, mapping.range());
+    const std::string& path = file.path();
+    const auto members = zipMembers(file);
     const auto array = [&](const std::string& name, const std::map<std::string, std::uint64_t>& types,
                            std::size_t dimensions) {
         const auto member = members.find(name + ".npy");
         if (member == members.end()) throw InputError(path + ": has no array '" + name + "'");
-        const Array parsed = ArrayParser(path, name, member->second).parse(types);
+        const Array parsed = ArrayParser(file, name, member->second).parse(types);
         if (parsed.shape.size() == dimensions) return parsed;
         throw InputError(path + ": array '" + name + "' has " + std::to_string(parsed.shape.size()) +
                          " dimensions");
     };
-    const Array format = array("format", {{"|S3", 3}, {"S3", 3}}, 0);
-    if (std::memcmp(format.data, "csr", 3) != 0) throw InputError(path + ": is not a matrix in CSR format");
+    std::array<char, 3> format;
+    file.read(array("format", {{"|S3", 3}, {"S3", 3}}, 0).begin, format.data(), format.size());
+    if (std::memcmp(format.data(), "csr", 3) != 0) throw InputError(path + ": is not a matrix in CSR format");
     const Array shape = array("shape", {{"<i8", 8}}, 1);
-    const Array starts = array("indptr", {{"<i4", 4}, {"<i8", 8}}, 1);
-    const Array numbers = array("indices", {{"<i4", 4}, {"<i8", 8}}, 1);
-    const Array data = array("data", {{"|i1", 1}, {"<f4", 4}}, 1);
-    rows = starts.size - 1; // wraps for an empty indptr, which the next test refuses
-    if (starts.size == 0 || shape.size != 2 || load<std::uint64_t>(shape.data, 0) != rows ||
-        load<std::uint64_t>(shape.data, 1) != rows) {
+    offsets = array("indptr", {{"<i4", 4}, {"<i8", 8}}, 1);
+    indices = array("indices", {{"<i4", 4}, {"<i8", 8}}, 1);
+    values = array("data", {{"|i1", 1}, {"<f4", 4}}, 1);
+    std::array<std::uint64_t, 2> edges{};
+    if (shape.size == edges.size()) readElements<std::uint64_t>(file, shape, 0, edges.size(), edges.data());
+    rows = offsets.size - 1; // wraps for an empty indptr, which the next test refuses
+    if (offsets.size == 0 || shape.size != edges.size() || edges[0] != rows || edges[1] != rows) {
         throw InputError(path + ": 'shape' is not that of a square matrix with the rows of 'indptr'");
     }
-    pairs = numbers.size;
-    if (data.size != pairs) throw InputError(path + ": 'data' and 'indices' differ in length");
-    offsets = starts.data;
-    indices = numbers.data;
-    values = data.data;
-    wideOffsets = starts.type == "<i8";
-    wideIndices = numbers.type == "<i8";
-    distances = data.type == "<f4";
+    pairs = indices.size;
+    if (values.size != pairs) throw InputError(path + ": 'data' and 'indices' differ in length");
 }
 
 void ListsFile::Data::checkOffsets() const
 {
+    const std::string& path = file.path();
     std::int64_t last = 0;
-    if (offset(0) != 0) throw InputError(path + ": 'indptr' does not begin with 0");
-    for (std::uint64_t i = 1; i <= rows; ++i) {
-        const std::int64_t next = offset(i);
-        if (next < last) throw InputError(path + ": 'indptr' decreases at " + std::to_string(i));
-        last = next;
+    std::vector<std::int64_t> block(std::min(kBlockElements, offsets.size));
+    for (std::uint64_t first = 0; first < offsets.size; first += block.size()) {
+        block.resize(std::min<std::uint64_t>(block.size(), offsets.size - first));
+        readIntegers(file, offsets, first, block.size(), block.data());
+        if (first == 0 && block[0] != 0) throw InputError(path + ": 'indptr' does not begin with 0");
+        for (std::size_t k = 0; k < block.size(); ++k) {
+            if (block[k] < last) {
+                throw InputError(path + ": 'indptr' decreases at " + std::to_string(first + k));
+            }
+            last = block[k];
+        }
     }
     if (static_cast<std::uint64_t>(last) != pairs) {
         throw InputError(path + ": 'indptr' ends with " + std::to_string(last) + ", but there are " +
@@ -222,7 +210,7 @@ ListsFile ListsFile::open(const std::string& path)
 
 const std::string& ListsFile::path() const
 {
-    return mData->path;
+    return mData->file.path();
 }
 std::uint64_t ListsFile::rowCount() const
 {
@@ -234,28 +222,27 @@ std::uint64_t ListsFile::pairCount() const
 }
 bool ListsFile::holdsDistances() const
 {
-    return mData->distances;
-}
-
-std::uint64_t ListsFile::rowBegin(std::uint64_t i) const
-{
-    return static_cast<std::uint64_t>(mData->offset(i));
+    return mData->values.type == "<f4";
 }
 
 void ListsFile::readRow(std::uint64_t i, std::vector<std::int64_t>& neighbors,
                         std::vector<float>& values) const
 {
-    const std::uint64_t begin = rowBegin(i), count = rowBegin(i + 1) - begin;
+    const Data& data = *mData;
+    std::int64_t ends[2];
+    readIntegers(data.file, data.offsets, i, 2, ends);
+    if (ends[0] < 0 || ends[1] < ends[0] || static_cast<std::uint64_t>(ends[1]) > data.pairs) {
+        throw InputError(path() + ": has changed while it was read; check it once nobody writes it any more");
+    }
+    const auto begin = static_cast<std::uint64_t>(ends[0]), count = static_cast<std::uint64_t>(ends[1]) - begin;
     neighbors.resize(count);
     values.resize(count);
-    const auto copy = [&](auto type, const unsigned char* from, auto& to) {
-        for (std::uint64_t k = 0; k < count; ++k) {
-            to[k] = static_cast<std::decay_t<decltype(to[k])>>(load<decltype(type)>(from, begin + k));
-        }
-    };
-    mData->wideIndices ? copy(std::int64_t(), mData->indices, neighbors)
-                       : copy(std::int32_t(), mData->indices, neighbors);
-    mData->distances ? copy(float(), mData->values, values) : copy(std::int8_t(), mData->values, values);
+    readIntegers(data.file, data.indices, begin, count, neighbors.data());
+    if (holdsDistances()) {
+        readElements<float>(data.file, data.values, begin, count, values.data());
+    } else {
+        readElements<std::int8_t>(data.file, data.values, begin, count, values.data());
+    }
 }
 
 } // namespace vdb_nns::cli

@@ -1,4 +1,4 @@
-// Reads the .npz lists that verify checks: a SciPy CSR matrix in a stored ZIP, mapped into memory. Trusts nothing: every
+// Reads the .npz lists that verify checks: a SciPy CSR matrix in a stored ZIP, of which a row is in memory at a time. Trusts nothing: every
 // length, offset, type and checksum is tested before it is used, and a lie is an InputError. What the lists say about
 // particles is not judged here but by independent_search.h. Knows the file format only.
 #pragma once
@@ -11,7 +11,7 @@
 
 namespace vdb_nns::cli {
 
-// An open file of lists. Copies share the mapping. Safe to read from several threads; the file must not change meanwhile.
+// An open file of lists. Copies share it. Safe to read from several threads.
 class ListsFile {
 public:
     // Accepts indptr and indices as int32 or int64, data as int8 or float32, in members of any order and alignment.
@@ -24,13 +24,11 @@ public:
     std::uint64_t rowCount() const;
     std::uint64_t pairCount() const;
 
-    // Row i is entries rowBegin(i) to rowBegin(i + 1); i up to rowCount().
-    std::uint64_t rowBegin(std::uint64_t i) const;
-
     // True: values are float32 distances; false: the int8 of a connectivity, which should be 1.
     bool holdsDistances() const;
 
     // A row as the file has it: numbers are not checked against the row count. The vectors are resized.
+    // @throws InputError where the file has become shorter, or its row offsets have changed
     void readRow(std::uint64_t i, std::vector<std::int64_t>& neighbors, std::vector<float>& values) const;
 
     struct Data;

@@ -6,6 +6,7 @@
 #include <boost/crc.hpp>
 
 #include <algorithm>
+#include <array>
 #include <vector>
 
 namespace vdb_nns::cli {
@@ -25,7 +26,7 @@ struct Directory {
 
 class ZipReader {
 public:
-    ZipReader(const std::string& path, ByteRange file) : mPath(path), mFile(file) {}
+    explicit ZipReader(const FilePieces& file) : mFile(file) {}
 
     std::map<std::string, ByteRange> members() const
     {
@@ -41,33 +42,54 @@ public:
 
 private:
     static constexpr std::uint64_t kEndBytes = 22, kLocatorBytes = 20;
+    static constexpr std::uint64_t kBlockBytes = 1 << 20; // read at once
     static constexpr std::uint64_t kEntryBytes = 46, kLocalBytes = 30;
 
     [[noreturn]] void fail(const std::string& what) const
     {
-        throw InputError(mPath + ": not a file of neighbor lists: the ZIP " + what);
+        throw InputError(mFile.path() + ": not a file of neighbor lists: the ZIP " + what);
     }
 
     // Little-endian number of `bytes` bytes at `at`.
     std::uint64_t number(std::uint64_t at, unsigned bytes) const
     {
-        if (at > mFile.size || mFile.size - at < bytes) fail("is cut off");
+        std::array<unsigned char, 8> raw;
+        read(at, raw.data(), bytes);
         std::uint64_t value = 0;
-        for (unsigned k = 0; k < bytes; ++k) value |= std::uint64_t(mFile.data[at + k]) << (8 * k);
+        for (unsigned k = 0; k < bytes; ++k) value |= std::uint64_t(raw[k]) << (8 * k);
         return value;
     }
 
     std::string text(std::uint64_t at, std::uint64_t bytes) const
     {
-        if (at > mFile.size || mFile.size - at < bytes) fail("is cut off");
-        return {reinterpret_cast<const char*>(mFile.data) + at, bytes};
+        std::string text(bytes, '\0');
+        read(at, text.data(), bytes);
+        return text;
+    }
+
+    void read(std::uint64_t at, void* out, std::uint64_t bytes) const
+    {
+        if (at > mFile.size() || mFile.size() - at < bytes) fail("is cut off");
+        mFile.read(at, out, bytes);
+    }
+
+    std::uint32_t crcOf(const ByteRange& range) const
+    {
+        boost::crc_32_type crc;
+        std::vector<char> block(std::min<std::uint64_t>(range.size, kBlockBytes));
+        for (std::uint64_t done = 0; done < range.size; done += block.size()) {
+            block.resize(std::min<std::uint64_t>(kBlockBytes, range.size - done));
+            mFile.read(range.begin + done, block.data(), block.size());
+            crc.process_bytes(block.data(), block.size());
+        }
+        return crc.checksum();
     }
 
     // The end record stands last, before a comment of up to 65535 bytes whose length it gives.
     Directory findDirectory() const
     {
-        for (std::uint64_t comment = 0; comment <= 65535 && comment + kEndBytes <= mFile.size; ++comment) {
-            const std::uint64_t end = mFile.size - comment - kEndBytes;
+        for (std::uint64_t comment = 0; comment <= 65535 && comment + kEndBytes <= mFile.size(); ++comment) {
+            const std::uint64_t end = mFile.size() - comment - kEndBytes;
             if (number(end, 4) != 0x06054b50 || number(end + 20, 2) != comment) continue;
             Directory directory{number(end + 16, 4), number(end + 12, 4), number(end + 10, 2)};
             if (end >= kLocatorBytes && number(end - kLocatorBytes, 4) == 0x07064b50) {
@@ -128,24 +150,22 @@ private:
         if (text(at + kLocalBytes, nameBytes) != entry.name)
             fail("member '" + entry.name + "' has two names");
         const std::uint64_t begin = at + kLocalBytes + nameBytes + extraBytes;
-        if (begin > mFile.size || mFile.size - begin < entry.size) {
+        if (begin > mFile.size() || mFile.size() - begin < entry.size) {
             fail("member '" + entry.name + "' reaches past the end of the file");
         }
-        boost::crc_32_type crc;
-        crc.process_bytes(mFile.data + begin, entry.size);
-        if (crc.checksum() != entry.crc) fail("member '" + entry.name + "' is damaged: its CRC-32 is wrong");
-        return {mFile.data + begin, entry.size};
+        const ByteRange range{begin, entry.size};
+        if (crcOf(range) != entry.crc) fail("member '" + entry.name + "' is damaged: its CRC-32 is wrong");
+        return range;
     }
 
-    const std::string& mPath;
-    ByteRange mFile;
+    const FilePieces& mFile;
 };
 
 } // namespace
 
-std::map<std::string, ByteRange> zipMembers(const std::string& path, ByteRange file)
+std::map<std::string, ByteRange> zipMembers(const FilePieces& file)
 {
-    return ZipReader(path, file).members();
+    return ZipReader(file).members();
 }
 
 } // namespace vdb_nns::cli

@@ -1,8 +1,8 @@
-// The members of a stored ZIP in memory, by name, each inside the buffer and with the CRC-32 it claims. Format: PKWARE
-// APPNOTE 6.3, sections 4.3 and 4.5.3 (ZIP64). Knows nothing of arrays.
+// The members of a stored ZIP, by name, each inside the file and with the CRC-32 it claims. Format: PKWARE APPNOTE 6.3, sections 4.3 and 4.5.3 (ZIP64). Knows nothing of arrays.
 #pragma once
 
-#include <cstddef>
+#include "file_pieces.h"
+
 #include <cstdint>
 #include <map>
 #include <string>
@@ -10,11 +10,10 @@
 namespace vdb_nns::cli {
 
 struct ByteRange {
-    const unsigned char* data = nullptr;
-    std::uint64_t size = 0;
+    std::uint64_t begin = 0, size = 0;
 };
 
-// @throws InputError beginning with `path` for anything that is not such a ZIP
-std::map<std::string, ByteRange> zipMembers(const std::string& path, ByteRange file);
+// @throws InputError that names the file, for anything that is not such a ZIP
+std::map<std::string, ByteRange> zipMembers(const FilePieces& file);
 
 } // namespace vdb_nns::cli
