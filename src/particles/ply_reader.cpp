@@ -284,7 +284,8 @@ PositionArray parsePly(const std::string& path, FileBytes bytes, std::uint64_t a
         throw InputError(path + ": " + std::to_string(vertex->count) + " points are more than the " +
                          std::to_string(kMaxFilePoints) + " that fit; split the file");
     }
-    checkPointsFit(path, vertex->count * 3 * (layout.isDouble ? sizeof(double) : sizeof(float)), allowedBytes);
+    checkPointsFit(path, vertex->count * 3 * (layout.isDouble ? sizeof(double) : sizeof(float)),
+                   allowedBytes);
     if (header.format == PlyFormat::kAscii) {
         TextValues values(path, bytes, header.bytes);
         return readBody(values, header, *vertex, layout);

@@ -6,6 +6,7 @@
 #include "particles/vdb_archive.h"
 #include "util/cancel.h"
 #include "vdb_nns/error.h"
+#include "vdb_nns/memory.h"
 #include "vdb_nns/openvdb_bridge.h"
 
 #include <openvdb/io/Archive.h>
@@ -14,6 +15,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cstring>
+#include <filesystem>
 #include <fstream>
 #include <map>
 #include <optional>
@@ -29,7 +31,16 @@ using openvdb::io::GridDescriptor;
 
 constexpr const char* kRadiusMetadata = "suggested_radius";
 
-// Whatever OpenVDB throws on a damaged file, std::bad_alloc and std::length_error included, is the file's
+// Whether a sound file of that size could have been read: a damaged count asks for more than any machine has.
+bool hasMemoryFor(const std::string& path)
+{
+    constexpr std::uint64_t kProgramBytes = std::uint64_t(256) << 20, kExpansion = 16; // of compressed grids
+    std::error_code ignored;
+    const std::uint64_t fileBytes = std::filesystem::file_size(path, ignored);
+    return !ignored && availableMemoryBytes() / kExpansion > fileBytes + kProgramBytes / kExpansion;
+}
+
+// Whatever OpenVDB throws on a damaged file, std::length_error and mostly std::bad_alloc included, is the file's
 // fault.
 template <typename F>
 auto guardRead(const std::string& path, F&& read)
@@ -39,6 +50,7 @@ auto guardRead(const std::string& path, F&& read)
     } catch (const Error&) {
         throw;
     } catch (const std::exception& error) {
+        if (dynamic_cast<const std::bad_alloc*>(&error) && !hasMemoryFor(path)) throw;
         throw InputError(path + ": OpenVDB cannot read it: " + error.what() +
                          "; check the file with vdb_print");
     }

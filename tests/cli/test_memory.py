@@ -2,6 +2,9 @@
 import filecmp
 import json
 import os
+import resource
+import shutil
+import unittest.mock
 
 import numpy as np
 
@@ -184,6 +187,45 @@ class InAControlGroup(CliCase):
                 if expected == 0:
                     self.assertRegex(done.err, "allowed are .* straight to the file instead")
                     self.assertTrue(filecmp.cmp(free, out, shallow=False))
+
+
+class LittleToRunIn(CliCase):
+    """Threads that cannot be made, and little stack: an answer, or exit 4 with the reason."""
+
+    def setUp(self):
+        super().setUp()
+        self.input = self.scene("block", 3000)
+
+    def check(self, expected, **options):
+        done = cli_case.run("search", self.input, "-r", "0.2", "-q", "-T", "4", **options)
+        self.assertIn(done.code, expected, done.err)
+        if done.code == 4:
+            self.assertRegex(done.err, "^vdb_nns: error: [^\n]*(threads|memory)[^\n]*\n$")
+        return done
+
+    def test_no_more_processes(self):
+        if os.geteuid() != 0:
+            self.skipTest("only root can become another user, to whom limits of processes apply")
+        program = shutil.copy(cli_case.BINARY, self.folder)
+        os.chmod(self.folder, 0o755)
+        for processes in (1, 2, 3, 5, 8, 12):
+            with self.subTest(processes=processes):
+                with unittest.mock.patch.object(cli_case, "BINARY", program):
+                    done = self.check((0, 4), user=54321, preexec_fn=lambda: resource.setrlimit(
+                        resource.RLIMIT_NPROC, (processes, processes)))
+                if processes == 1:
+                    self.assertEqual(done.code, 4)
+                    self.assertIn("makes no more threads", done.err)
+
+    def test_little_address_space(self):
+        for megabytes in range(70, 240, 10):
+            with self.subTest(megabytes=megabytes):  # 127: not even the libraries fit
+                self.check((0, 4, 127), preexec_fn=limit_address_space(megabytes * MB))
+
+    def test_little_stack(self):
+        limit = {"preexec_fn": lambda: resource.setrlimit(resource.RLIMIT_STACK, (64 << 10, 64 << 10))}
+        self.check((0,), **limit)
+        self.succeeds("info", self.npy("points.npy", np.random.default_rng(1).random((20000, 3))), **limit)
 
 
 class WideCells(CliCase):

@@ -6,6 +6,7 @@
 #include "help_markdown.h"
 #include "signals.h"
 #include "standard_streams.h"
+#include "thread_failure.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/version.h"
 
@@ -57,6 +58,7 @@ int explainException(const Session& session)
     } catch (const DeviceError& e) {
         return printError(session, e.what()), kNoDevice;
     } catch (const std::exception& e) {
+        if (isThreadFailure(e)) return printError({}, threadAdvice(e)), kNoRoom;
         return printError(session, std::string("a fault of vdb_nns itself, please report it: ") + e.what()),
                kUnexpected;
     }

@@ -37,7 +37,9 @@ std::uint64_t difference(std::uint64_t from, std::uint64_t bytes)
 } // namespace
 
 HostMemory::HostMemory(std::uint64_t boundBytes, int threads, const OutputKinds& outputs)
-    : mBoundBytes(boundBytes), mThreads(static_cast<std::uint64_t>(threads)), mOutputs(outputs),
+    : mBoundBytes(boundBytes),
+      mThreads(static_cast<std::uint64_t>(threads)),
+      mOutputs(outputs),
       mReserveBytes(kArrayReserve + mThreads * kThreadReserve)
 {
     if (isBounded()) returnFreedMemory();
@@ -101,7 +103,8 @@ std::uint64_t HostMemory::bufferBytes(const SparseGrid& grid) const
     const std::uint64_t points = grid.view().size();
     const std::uint64_t held =
         grid.bytes() + (kNumberBytes + kCountBytes + kPlaceBytes) * points + kTaskBytes * grid.leafCount();
-    return std::clamp(difference(mFreeBytes, held), mThreads * kLeastBuffer, mThreads * (isBounded() ? kLargestBuffer : kUsualBuffer));
+    return std::clamp(difference(mFreeBytes, held), mThreads * kLeastBuffer,
+                      mThreads * (isBounded() ? kLargestBuffer : kUsualBuffer));
 }
 
 std::string HostMemory::explanation() const

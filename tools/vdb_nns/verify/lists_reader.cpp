@@ -5,6 +5,8 @@
 #include "vdb_nns/error.h"
 #include "zip_members.h"
 
+#include <tbb/enumerable_thread_specific.h>
+
 #include <algorithm>
 #include <array>
 #include <cstring>
@@ -18,6 +20,9 @@ namespace {
 constexpr std::uint64_t kMostHeaderBytes = std::uint64_t(1) << 20;
 // Elements that are read at once where all are.
 constexpr std::uint64_t kBlockElements = std::uint64_t(1) << 16;
+// What a thread keeps of each array. Small blocks, as rows in random order find none of them again; enough of them for the
+// rows of a leaf with some 20 neighbors each.
+constexpr std::uint64_t kCachedElements = 1024, kCachedBlocks = 128;
 
 // One array of the archive.
 struct Array {
@@ -29,7 +34,8 @@ struct Array {
 
 // Elements [first, first + count) of an array of T, converted.
 template <typename T, typename To>
-void readElements(const FilePieces& file, const Array& array, std::uint64_t first, std::uint64_t count, To* out)
+void readElements(const FilePieces& file, const Array& array, std::uint64_t first, std::uint64_t count,
+                  To* out)
 {
     std::array<T, 1024> raw;
     while (count > 0) {
@@ -133,6 +139,43 @@ private:
     ByteRange mBytes;
 };
 
+// What a thread has read of an array. Rows are asked for cell by cell, so that the next one is near one of the last.
+template <typename T>
+class BlockCache {
+public:
+    // Copies elements [first, first + count) of an array of `size`; read(first, count, out) gets those that are not here.
+    template <typename Read>
+    void copy(std::uint64_t first, std::uint64_t count, std::uint64_t size, T* out, const Read& read)
+    {
+        while (count > 0) {
+            const std::uint64_t number = first / kCachedElements, begin = number * kCachedElements;
+            Block& block = mBlocks[number % mBlocks.size()];
+            if (block.elements.empty() || block.number != number) {
+                block.number = number;
+                block.elements.resize(std::min(kCachedElements, size - begin));
+                read(begin, block.elements.size(), block.elements.data());
+            }
+            const std::uint64_t n = std::min(count, begin + block.elements.size() - first);
+            std::copy_n(block.elements.begin() + static_cast<std::ptrdiff_t>(first - begin), n, out);
+            first += n;
+            count -= n;
+            out += n;
+        }
+    }
+
+private:
+    struct Block {
+        std::uint64_t number = 0;
+        std::vector<T> elements;
+    };
+    std::array<Block, kCachedBlocks> mBlocks;
+};
+
+struct RowCache {
+    BlockCache<std::int64_t> offsets, indices;
+    BlockCache<float> values;
+};
+
 } // namespace
 
 struct ListsFile::Data {
@@ -141,6 +184,7 @@ struct ListsFile::Data {
     FilePieces file;
     Array offsets, indices, values;
     std::uint64_t rows = 0, pairs = 0;
+    mutable tbb::enumerable_thread_specific<RowCache> caches;
 
     void readArrays();
     void checkOffsets() const;
@@ -229,20 +273,30 @@ void ListsFile::readRow(std::uint64_t i, std::vector<std::int64_t>& neighbors,
                         std::vector<float>& values) const
 {
     const Data& data = *mData;
+    RowCache& cache = data.caches.local();
+    const auto integersOf = [&](const Array& array) {
+        return [&](std::uint64_t first, std::uint64_t count, std::int64_t* out) {
+            readIntegers(data.file, array, first, count, out);
+        };
+    };
+    const auto readValues = [&](std::uint64_t first, std::uint64_t count, float* out) {
+        if (holdsDistances()) {
+            readElements<float>(data.file, data.values, first, count, out);
+        } else {
+            readElements<std::int8_t>(data.file, data.values, first, count, out);
+        }
+    };
     std::int64_t ends[2];
-    readIntegers(data.file, data.offsets, i, 2, ends);
+    cache.offsets.copy(i, 2, data.offsets.size, ends, integersOf(data.offsets));
     if (ends[0] < 0 || ends[1] < ends[0] || static_cast<std::uint64_t>(ends[1]) > data.pairs) {
         throw InputError(path() + ": has changed while it was read; check it once nobody writes it any more");
     }
-    const auto begin = static_cast<std::uint64_t>(ends[0]), count = static_cast<std::uint64_t>(ends[1]) - begin;
+    const auto begin = static_cast<std::uint64_t>(ends[0]),
+               count = static_cast<std::uint64_t>(ends[1]) - begin;
     neighbors.resize(count);
     values.resize(count);
-    readIntegers(data.file, data.indices, begin, count, neighbors.data());
-    if (holdsDistances()) {
-        readElements<float>(data.file, data.values, begin, count, values.data());
-    } else {
-        readElements<std::int8_t>(data.file, data.values, begin, count, values.data());
-    }
+    cache.indices.copy(begin, count, data.pairs, neighbors.data(), integersOf(data.indices));
+    cache.values.copy(begin, count, data.pairs, values.data(), readValues);
 }
 
 } // namespace vdb_nns::cli

@@ -1,4 +1,4 @@
-// Reads the .npz lists that verify checks: a SciPy CSR matrix in a stored ZIP, of which a row is in memory at a time. Trusts nothing: every
+// Reads the .npz lists that verify checks: a SciPy CSR matrix in a stored ZIP, of which a small part is in memory at a time. Trusts nothing: every
 // length, offset, type and checksum is tested before it is used, and a lie is an InputError. What the lists say about
 // particles is not judged here but by independent_search.h. Knows the file format only.
 #pragma once
@@ -11,7 +11,7 @@
 
 namespace vdb_nns::cli {
 
-// An open file of lists. Copies share it. Safe to read from several threads.
+// An open file of lists. Copies share it. Safe to read from several threads; each keeps a MB or two of what it read last.
 class ListsFile {
 public:
     // Accepts indptr and indices as int32 or int64, data as int8 or float32, in members of any order and alignment.

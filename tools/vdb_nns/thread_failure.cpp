@@ -1,0 +1,58 @@
+#include "thread_failure.h"
+
+#include "exit_codes.h"
+
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <stdexcept>
+#include <system_error>
+
+#include <unistd.h>
+
+namespace vdb_nns::cli {
+namespace {
+
+std::terminate_handler gDefaultHandler = nullptr;
+
+[[noreturn]] void explainTermination()
+{
+    try {
+        if (std::current_exception()) throw;
+    } catch (const std::exception& error) {
+        if (isThreadFailure(error)) {
+            std::fprintf(stderr, "vdb_nns: error: %s\n", threadAdvice(error).c_str());
+            ::_exit(kNoRoom);
+        }
+    } catch (...) {
+    }
+    gDefaultHandler();
+    std::abort();
+}
+
+void installTerminateHandler()
+{
+    gDefaultHandler = std::set_terminate(explainTermination);
+}
+
+// Runs before the initialisers of the shared libraries.
+[[gnu::section(".preinit_array"), gnu::used]] void (*const kBeforeLibraries)() = installTerminateHandler;
+
+} // namespace
+
+bool isThreadFailure(const std::exception& error)
+{
+    if (const auto* system = dynamic_cast<const std::system_error*>(&error)) {
+        return system->code() == std::errc::resource_unavailable_try_again;
+    }
+    // TBB's has no type of its own.
+    return std::strncmp(error.what(), "pthread_create", std::strlen("pthread_create")) == 0;
+}
+
+std::string threadAdvice(const std::exception& error)
+{
+    return std::string("the system makes no more threads (") + error.what() +
+           "): use fewer with --threads, or allow more processes (ulimit -u) or address space (ulimit -v)";
+}
+
+} // namespace vdb_nns::cli

@@ -1,0 +1,16 @@
+// What happens where the system makes no more threads. Some are made before main() (OpenVDB's logging library) or by TBB's
+// workers, where no exception of theirs can be caught.
+#pragma once
+
+#include <exception>
+#include <string>
+
+namespace vdb_nns::cli {
+
+/// Whether the exception says that a thread could not be made.
+bool isThreadFailure(const std::exception& error);
+
+/// What to do about it.
+std::string threadAdvice(const std::exception& error);
+
+} // namespace vdb_nns::cli
