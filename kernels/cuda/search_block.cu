@@ -555,7 +555,26 @@ void launchSumsAsync(const GroupSearch& search, cudaStream_t stream)
     launch("add up tiles", addTilesKernel, 1, kScanThreads, stream, search);
 }
 
+template <typename... Parameters>
+void load(void (*kernel)(Parameters...))
+{
+    cudaFuncAttributes attributes;
+    VDB_NNS_CUDA_CHECK(cudaFuncGetAttributes(&attributes, kernel));
+}
+
 } // namespace
+
+void loadKernels()
+{
+    load(clearHeadKernel);
+    load(addGroupsKernel);
+    load(addTilesKernel);
+    load(searchGroupsKernel<Pass::kCount>);
+    load(searchGroupsKernel<Pass::kCountRows>);
+    load(searchGroupsKernel<Pass::kMeasure>);
+    load(searchGroupsKernel<Pass::kMasks>);
+    load(searchGroupsKernel<Pass::kNumbers>);
+}
 
 void launchSearchAsync(const BlockSearch& block, cudaStream_t stream)
 {
