@@ -94,7 +94,7 @@ std::uint64_t blockBudget(const DeviceLimits& device);
 
 /// How far the tree is to be divided for those devices (WorkloadTreeOptions::nodeBytes): into nodes that fit a slot, and somewhat
 /// smaller ones where so few would not keep all executors busy to the end, or not all slots of the one device that everything
-/// fits. Not at all with ScheduleOptions::oneBlock, if everything fits.
+/// fits. Not at all where everything fits and ScheduleOptions::oneBlock is set, or nothing could be gained.
 std::uint64_t nodeBytesFor(const SparseGrid& grid, const WorkEstimate& estimate, const MemoryModel& model,
                            const std::vector<DeviceLimits>& devices, const ScheduleOptions& options = {});
 

@@ -271,6 +271,15 @@ Schedule scheduleFor(const SparseGridData& grid, const WorkloadTree& tree,
     return cpu.predictedSeconds < halo.predictedSeconds ? cpu : halo;
 }
 
+// Seconds that blocks side by side can save over one at most: but for the slowest stage they hide all.
+double mostOverlap(const Work& work, const BlockBytes& bytes, const Rates& rates)
+{
+    const double search = static_cast<double>(work.candidateTests) / rates.testsPerSecond,
+                 up = static_cast<double>(bytes.up) / rates.uploadBytesPerSecond,
+                 down = static_cast<double>(bytes.down) / rates.downloadBytesPerSecond;
+    return search + up + down - std::max({search, up, down});
+}
+
 } // namespace
 
 std::uint64_t nodeBytesFor(const SparseGrid& grid, const WorkEstimate& estimate, const MemoryModel& model,
@@ -284,7 +293,8 @@ std::uint64_t nodeBytesFor(const SparseGrid& grid, const WorkEstimate& estimate,
     root.endLeaf = static_cast<std::uint32_t>(grid.leafCount());
     root.occupiedCells = grid.cellCount();
     root.work = estimate.total;
-    const std::uint64_t everything = blockBytes(root, model).total();
+    const BlockBytes bytes = blockBytes(root, model);
+    const std::uint64_t everything = bytes.total();
     const bool isInCore = fitsOne(devices, options, everything);
     if (isInCore && options.oneBlock) return devices[0].memoryBytes;
     std::uint64_t budget = std::numeric_limits<std::uint64_t>::max();
@@ -294,7 +304,12 @@ std::uint64_t nodeBytesFor(const SparseGrid& grid, const WorkEstimate& estimate,
         const double tests = kLatencies * device.rates.latencySeconds * device.rates.testsPerSecond;
         if (tests > 0) blocks = std::min(blocks, static_cast<double>(estimate.total.candidateTests) / tests);
     }
-    if (isInCore) blocks = std::max(blocks, kBlocksOfSlot * devices[0].slots);
+    if (isInCore) {
+        blocks = std::max(blocks, kBlocksOfSlot * devices[0].slots);
+        if (blocks * devices[0].rates.latencySeconds >= mostOverlap(root.work, bytes, devices[0].rates)) {
+            return devices[0].memoryBytes;
+        }
+    }
     return std::min(budget,
                     static_cast<std::uint64_t>(static_cast<double>(everything) / std::max(1.0, blocks)));
 }

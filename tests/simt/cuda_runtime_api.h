@@ -83,7 +83,7 @@ std::size_t liveAllocations();
 /// Kernels that are in a device's memory, over all devices: each is loaded when its attributes are asked for, or else by its first
 /// launch, and takes kKernelBytes.
 std::size_t loadedKernels();
-constexpr std::size_t kKernelBytes = 4096;
+constexpr std::size_t kKernelBytes = 16;
 
 void enqueueLaunch(const void* kernel, cudaStream_t stream,
                    const std::function<void(std::uint64_t seed)>& run);

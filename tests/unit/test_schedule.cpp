@@ -424,8 +424,12 @@ TEST(Schedule, InCoreIsInAsManyBlocksAsEndSooner)
         EXPECT_NEAR(scheduled(true).predictedSeconds, 3, 1e-5);
         EXPECT_GE(scheduled(false).blocks.size(), 16u) << "four for each slot";
         EXPECT_LT(scheduled(false).predictedSeconds, 2.5);
-        device.rates.latencySeconds = 1;
+        device.rates.latencySeconds = 0.1;
         EXPECT_EQ(scheduled(false).blocks.size(), 1u) << "more would take longer";
+        device.rates.latencySeconds = 1;
+        EXPECT_EQ(nodeBytesFor(problem.grid, problem.estimate, one.options.model, devices),
+                  device.memoryBytes)
+            << "no tree needs to be divided to know that";
         device.rates.latencySeconds = 1e-6;
         device.slots = 1;
         EXPECT_EQ(scheduled(false).blocks.size(), 1u) << "nothing could overlap";
