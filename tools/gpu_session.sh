@@ -22,7 +22,7 @@ while [ $# -gt 0 ]; do
     esac
     shift
 done
-call=${words[0]:-} out=${words[1]:-gpu_session}
+call=${words[0]:-} out=${words[1]-gpu_session}
 if [[ "$call" != [12] ]] || [ ${#words[@]} -gt 2 ] || [ -z "$out" ]; then
     echo "gpu_session.sh: say which call, 1 or 2, and one folder for the results" >&2
     exit 2
@@ -65,7 +65,7 @@ step() {
     bad=1
     case $code in
     124 | 137) say "$name: FAILED, no end within $limit s" ;;
-    *) say "$name: FAILED with $code: $(tail -n 1 "$logs/$name.log")" ;;
+    *) say "$name: FAILED with $code$(tail -n 1 "$logs/$name.log" | sed 's/^/: /')" ;;
     esac
     return 1
 }
@@ -78,7 +78,7 @@ machine='
         --format=csv || echo "nvidia-smi: SKIPPED, it does not run"
     echo "$(nproc) cores, $(grep -m1 "model name" /proc/cpuinfo | sed "s/.*: //")"
     grep -E "MemTotal|MemAvailable" /proc/meminfo
-    for tool in "$@"; do echo "$tool: $("$tool" --version 2>&1 | grep -iE "release|version|commit" | tail -n 1)"; done'
+    for tool in "$@"; do echo "$tool: $("$tool" --version 2>&1 | grep -iE "release|version|commit" | head -n 1)"; done'
 
 # ---- Nsight Compute -------------------------------------------------------------------------------------------------------
 

@@ -170,6 +170,24 @@ TEST_P(CudaSearch, AnyBudgetBoundaryAndBlockSizeGiveTheSameLists)
     }
 }
 
+// Everything fits, and goes in blocks that are sent and searched side by side.
+TEST_P(CudaSearch, InCoreInSeveralBlocksGivesTheSameLists)
+{
+    const SceneGrid scene("block", 12000 * scale());
+    const EstimatedGrid problem(scene.grid);
+    for (const Encoding encoding : kEncodings) {
+        SCOPED_TRACE(nameOf(encoding));
+        std::vector<DeviceLimits> devices = devicesOf(3 * problem.need(encoding));
+        devices[0].rates.latencySeconds = 0;
+        ScheduleRun report;
+        const NeighborLists lists = searchOn(problem, encoding, devices, {}, report);
+        expectSameLists(lists, plainLists(problem.grid, encoding));
+        EXPECT_GT(report.devices[0].blocks, 1u);
+        EXPECT_EQ(report.devices[0].particles, problem.grid.particleCount());
+        EXPECT_EQ(report.halvings, 0u);
+    }
+}
+
 // All pairs of a lattice at its radius are in the error band: the list of undecided pairs overflows, and blocks are redone.
 TEST_P(CudaSearch, ALatticeIsDecidedByTheHost)
 {

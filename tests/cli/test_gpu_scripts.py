@@ -197,7 +197,7 @@ class GpuSession(ScriptCase):
         self.assertEqual(done.returncode, 1, done.stdout + done.stderr)
         self.assertEqual([line.split()[3] for line in done.stdout.splitlines() if "FAILED with" in line and line.startswith("[")],
                          ["racecheck:"], done.stdout)
-        for said in ("name, 1.2.3", "MemTotal", "tests      ok; 1 tests", "memcheck   ok;", "synccheck  ok;",
+        for said in ("name, 1.2.3", "MemTotal", "tests      ok; 2 tests", "memcheck   ok;", "synccheck  ok;",
                      "| former kernels over those of now, block 1k, mask ", "| kernel, in core, block 1k, index ",
                      "| the same at once over in blocks, mask ", "void searchGroupsKernel<2>(A, B): smsp__inst_executed.sum 1,234"):
             self.assertEqual(done.stdout.count(said) > 0, True, said + " is not in\n" + done.stdout)
