@@ -31,8 +31,8 @@ else()
         check_language(CUDA)
         if(CMAKE_CUDA_COMPILER)
             if(NOT DEFINED CMAKE_CUDA_ARCHITECTURES)
-                # Machine code for Turing to Blackwell, and PTX for what comes after.
-                set(CMAKE_CUDA_ARCHITECTURES 75-real 80-real 86-real 89-real 90-real 100
+                # Machine code for Turing to both of Blackwell's, and PTX for what comes after.
+                set(CMAKE_CUDA_ARCHITECTURES 75-real 80-real 86-real 89-real 90-real 100 120-real
                     CACHE STRING "CUDA architectures")
             endif()
             list(TRANSFORM CMAKE_CUDA_ARCHITECTURES REPLACE "-real" "" OUTPUT_VARIABLE VDB_NNS_CUDA_BUILT_FOR)

@@ -1,7 +1,8 @@
 # `cpack` makes two packages.
 # vdb_nns-VERSION-linux-x86_64.tar.gz: the program with all libraries that it needs but the C library, for machines that
 # have none of them. All of it is the component `portable`, which `cmake --install` leaves out unless asked.
-#   bin/vdb_nns   bin/gpu_bench.sh   lib/vdb_nns/*.so*   LICENSE README.md INSTALL.txt   share/doc/vdb_nns/licenses/*
+#   bin/vdb_nns   bin/gpu_*.sh   lib/vdb_nns/*.so*   LICENSE README.md INSTALL.txt   share/doc/vdb_nns/licenses/*
+#   with CUDA: bin/vdb_nns_former, the program with the former kernels; and with tests: bin/test_cuda_gpu
 # What else goes into the archive: install(.. COMPONENT portable EXCLUDE_FROM_ALL), to bin/ if it is to be run.
 # vdb-nns_VERSION_amd64.deb: what `cmake --install` installs, under /usr, for the release of Debian that it was built on.
 # What it depends on is read from the program by dpkg-shlibdeps; without that tool, or with a shared vdb_nns, there is no .deb.
@@ -9,21 +10,33 @@
 # The same objects, linked once more, as the program of `cmake --install` must go on to use the libraries of the system.
 # DT_RPATH rather than today's DT_RUNPATH: it serves the libraries of libraries too, which so need no rpath each (CMake
 # can take one out of a finished library, but not put one in), and no LD_LIBRARY_PATH comes before it.
-get_target_property(libraries vdb_nns_cli LINK_LIBRARIES)
-add_executable(vdb_nns_portable $<TARGET_OBJECTS:vdb_nns_cli>)
-target_link_libraries(vdb_nns_portable PRIVATE ${libraries})
-target_link_options(vdb_nns_portable PRIVATE LINKER:--disable-new-dtags)
-if(TARGET TBB::tbbmalloc) # which oneTBB loads by its name while it runs: linked, it comes along and is the one found
-    target_link_libraries(vdb_nns_portable PRIVATE TBB::tbbmalloc)
-    target_link_options(vdb_nns_portable PRIVATE LINKER:--no-as-needed)
-endif()
-set_target_properties(vdb_nns_portable PROPERTIES
-    OUTPUT_NAME vdb_nns RUNTIME_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}/portable"
-    LINKER_LANGUAGE CXX # objects alone do not tell
-    INSTALL_RPATH "$ORIGIN/../lib/vdb_nns")
-
 set(portable COMPONENT portable EXCLUDE_FROM_ALL)
-install(TARGETS vdb_nns_portable RUNTIME_DEPENDENCY_SET portable_libraries RUNTIME DESTINATION bin ${portable})
+function(vdb_nns_portable target)
+    target_link_options(${target} PRIVATE LINKER:--disable-new-dtags)
+    set_target_properties(${target} PROPERTIES INSTALL_RPATH "$ORIGIN/../lib/vdb_nns")
+    install(TARGETS ${target} RUNTIME_DEPENDENCY_SET portable_libraries RUNTIME DESTINATION bin ${portable})
+endfunction()
+get_target_property(libraries vdb_nns_cli LINK_LIBRARIES)
+# vdb_nns_portable_program(target name [objects that stand before those of the libraries])
+function(vdb_nns_portable_program target name)
+    add_executable(${target} $<TARGET_OBJECTS:vdb_nns_cli> ${ARGN})
+    target_link_libraries(${target} PRIVATE ${libraries})
+    if(TARGET TBB::tbbmalloc) # which oneTBB loads by its name while it runs: linked, it comes along and is the one found
+        target_link_libraries(${target} PRIVATE TBB::tbbmalloc)
+        target_link_options(${target} PRIVATE LINKER:--no-as-needed)
+    endif()
+    set_target_properties(${target} PROPERTIES
+        OUTPUT_NAME ${name} RUNTIME_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}/portable"
+        LINKER_LANGUAGE CXX) # objects alone do not tell
+    vdb_nns_portable(${target})
+endfunction()
+vdb_nns_portable_program(vdb_nns_portable vdb_nns)
+if(VDB_NNS_CUDA_BUILD)
+    vdb_nns_portable_program(vdb_nns_portable_former vdb_nns_former $<TARGET_OBJECTS:vdb_nns_former_kernels>)
+    if(TARGET test_cuda_gpu)
+        vdb_nns_portable(test_cuda_gpu)
+    endif()
+endif()
 if(BUILD_SHARED_LIBS)
     install(TARGETS vdb_nns RUNTIME_DEPENDENCY_SET portable_libraries
         LIBRARY DESTINATION lib/vdb_nns ${portable} NAMELINK_SKIP)
@@ -33,7 +46,9 @@ install(RUNTIME_DEPENDENCY_SET portable_libraries
     PRE_EXCLUDE_REGEXES "^ld-linux" "^lib(c|m|mvec|pthread|dl|rt|util|resolv|anl)\\.so"
     POST_EXCLUDE_REGEXES "/libvdb_nns\\.so"
     LIBRARY DESTINATION lib/vdb_nns ${portable})
-install(PROGRAMS "${PROJECT_SOURCE_DIR}/tools/gpu_bench.sh" DESTINATION bin ${portable})
+foreach(script bench check session)
+    install(PROGRAMS "${PROJECT_SOURCE_DIR}/tools/gpu_${script}.sh" DESTINATION bin ${portable})
+endforeach()
 install(DIRECTORY "${PROJECT_BINARY_DIR}/share/vdb_nns" DESTINATION share ${portable})
 install(CODE "set(library_architecture \"${CMAKE_LIBRARY_ARCHITECTURE}\")" ${portable})
 install(SCRIPT "${PROJECT_SOURCE_DIR}/cmake/package_libraries.cmake" ${portable})

@@ -1,28 +1,38 @@
 #!/usr/bin/env bash
 # Measures vdb_nns on this machine's CUDA device: that all devices agree, how fast they are, and what they are to be measured
 # by. Prints one table; reports of every step, and the table as summary.json, go to a folder.
-#   gpu_bench.sh [--tiny] [FOLDER]        FOLDER: gpu_bench_results by default; --tiny: sizes that prove nothing, for tests
+#   gpu_bench.sh [--tiny] [--only PART] [--host-memory SIZE] [FOLDER]    FOLDER: gpu_bench_results by default
+# --tiny: sizes that prove nothing, for tests. --only: agreement, kernel, former, large, medium or scale, which needs medium's reports in
+# FOLDER. --host-memory: as vdb_nns has it, for machines whose memory grows as it is used, so that little is free at first. `former`
+# compares with the program that has the former kernels, vdb_nns_former beside vdb_nns or $VDB_NNS_FORMER.
 # The program is the one beside this script, or $VDB_NNS: VDB_NNS=build/vdb_nns tools/gpu_bench.sh results. summary.json comes
 # once more as DEVICE-DATE.json, for docs/results. Takes under 8 minutes on an H200 with 16 cores. A step that fails or takes too
 # long is said to have failed, and the others go on. Exit: 0; 1 if devices do not agree; 2 bad arguments or program; 5 no device.
 set -uo pipefail
 export LC_ALL=C
 
-tiny=0 out=gpu_bench_results seen=0
-for argument in "$@"; do
-    case $argument in
+tiny=0 out=gpu_bench_results seen=0 only='' parts=(agreement kernel former large medium scale) host=()
+while [ $# -gt 0 ]; do
+    case $1 in
     --tiny) tiny=1 ;;
-    -h | --help) sed -n '2,7s/^# \{0,1\}//p' "${BASH_SOURCE[0]}"; exit 0 ;;
-    -*) echo "gpu_bench.sh: '$argument' is not a flag; there is --tiny" >&2; exit 2 ;;
-    *) out=$argument seen=$((seen + 1)) ;;
+    --only) only=${2:-none} && shift ;;
+    --host-memory) host=("$1" "${2:-}") && shift ;;
+    -h | --help) sed -n '2,10s/^# \{0,1\}//p' "${BASH_SOURCE[0]}"; exit 0 ;;
+    -*) echo "gpu_bench.sh: '$1' is not a flag; there are --tiny, --only and --host-memory" >&2; exit 2 ;;
+    *) out=$1 seen=$((seen + 1)) ;;
     esac
+    shift
 done
+if [ -n "$only" ]; then
+    [[ " ${parts[*]} " == *" $only "* ]] || { echo "gpu_bench.sh: --only: '$only' is none of ${parts[*]}" >&2; exit 2; }
+    parts=("$only")
+fi
 if [ -z "$out" ] || [ "$seen" -gt 1 ]; then
     echo "gpu_bench.sh: give one folder for the results" >&2
     exit 2
 fi
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
-program=${VDB_NNS:-$here/vdb_nns}
+program=${VDB_NNS:-$here/vdb_nns} former=${VDB_NNS_FORMER:-$here/vdb_nns_former}
 [[ "$program" == */* ]] || program=./$program # no program of PATH
 if ! { [ -f "$program" ] && [ -x "$program" ]; }; then # a checkout has a folder of this name here
     echo "gpu_bench.sh: '$program' is no program; say where it is: VDB_NNS=build/vdb_nns tools/gpu_bench.sh results" >&2
@@ -33,7 +43,7 @@ date=$(date -u +%Y-%m-%dT%H:%M:%SZ)
 
 # Sizes: of scenes, of the device's memory for scenes out of core.
 # What carries a bar is the median of `repeat` runs.
-device=cuda:0 repeat=5 other_repeat=2 deadline=460
+device=cuda:0 repeat=5 other_repeat=2 deadline=${DEADLINE:-460}
 agree_count=500k coincident_count=5k agree_memory=8MiB
 block_count=16M large_count=65.6M large_memory=3GiB medium=two_sources medium_count=16M medium_memory=768MiB
 if [ $tiny -eq 1 ]; then
@@ -60,7 +70,7 @@ step() {
         failed+=("$name")
         return 124
     fi
-    timeout -k 5 "$((left < limit ? left : limit))" "$program" bench "$@" --progress never \
+    timeout -k 5 "$((left < limit ? left : limit))" "$program" bench "$@" ${host[@]+"${host[@]}"} --progress never \
         --csv "$out/$name.csv" --json "$out/$name.json" --force >"$out/$name.txt" 2>&1
     code=$?
     [ $code -eq 0 ] && return 0
@@ -119,23 +129,15 @@ show() {
 # ---- the table ----------------------------------------------------------------------------------------------------------
 
 rows=()
-# row KEY WHAT VALUE BAR REACHED NOTE [NUMBER]. No value: the step has failed.
+print_row() { printf '| %-60s | %-28s | %-22s | %-7s | %s |\n' "$@"; }
+# row KEY WHAT VALUE BAR REACHED NOTE [NUMBER]: prints it. No value: the step has failed.
 row() {
     local value=$3 reached=$5 number=${7:-}
     if [ -z "$value" ]; then
         value=failed reached=no number=
     fi
     rows+=("$1"$'\t'"$2"$'\t'"$value"$'\t'"$4"$'\t'"$reached"$'\t'"${6:-}"$'\t'"$number")
-}
-
-print_table() {
-    printf '%s\n' "what"$'\t'"value"$'\t'"bar"$'\t'"reached"$'\t'"note" "${rows[@]/#*([^$'\t'])$'\t'/}" |
-        awk -F'\t' '{ for (i = 1; i <= 5; ++i) { cell[NR, i] = $i; if (length($i) > width[i]) width[i] = length($i) } }
-            END { for (r = 1; r <= NR; ++r) {
-                line = ""
-                for (i = 1; i <= 5; ++i) line = line sprintf("| %-*s ", i < 5 ? width[i] : 1, cell[r, i])
-                print line "|"
-                if (r == 1) { for (i = 1; i <= 5; ++i) printf "|---"; print "|" } } }'
+    print_row "$2" "$value" "$4" "$reached" "${6:-}"
 }
 
 # "agree" is null if nothing is known to differ and not all was measured.
@@ -158,8 +160,8 @@ write_summary() {
         printf '],\n  "rows": ['
         printf '%s\n' "${rows[@]}" | awk -F'\t' '{ printf "%s\n    {\"key\": \"%s\", \"what\": \"%s\", \"value\": \"%s\", \"number\": %s, \"bar\": \"%s\", \"reached\": \"%s\", \"note\": \"%s\"}", (NR > 1 ? "," : ""), $1, $2, $3, ($7 == "" ? "null" : $7), $4, $5, $6 }'
         printf '\n  ]\n}\n'
-    } >"$out/summary.json"
-    cp "$out/summary.json" "$out/$kept"
+    } >"$out/summary${only:+_$only}.json"
+    [ -n "$only" ] || cp "$out/summary.json" "$out/$kept"
 }
 
 # ---- what is measured ---------------------------------------------------------------------------------------------------
@@ -203,8 +205,8 @@ measure_agreement() {
 
 measure_kernel() {
     step kernel 90 --scene block -n $block_count --radius-factor 2 --device $device --repeat $repeat --sample 10 \
-        --method in-core-mask,in-core-index,ours-mask
-    local encoding bar rate kernel link_ms tests_ms all_ms
+        --method in-core-mask,in-core-index,blocks-mask,blocks-index,ours-mask
+    local encoding bar rate kernel link_ms tests_ms all_ms whole cut
     for encoding in mask index; do
         bar=30
         [ $encoding = index ] && bar=10
@@ -224,10 +226,39 @@ measure_kernel() {
         "$(show 'bytes / link %.2f ms of upload + kernel + download %.2f ms, %s' "$link_ms" "$all_ms" \
             "$(runs kernel in-core-mask)")$(show '; a guess of the model, not measured: tests / assumed rate %.2f ms of kernel %.2f ms' \
             "$tests_ms" "$kernel")" "$(math 'a / b' "$link_ms" "$all_ms")"
+    for encoding in mask index; do
+        whole=$(get kernel in-core-$encoding device_makespan_seconds) cut=$(get kernel blocks-$encoding device_makespan_seconds)
+        row cut_$encoding "the same at once over in blocks, $encoding" "$(show '%.2fx' "$(math a/b "$whole" "$cut")")" - - \
+            "$(show 'at once %.1f ms, in %s blocks %.1f ms, copies of the host included, and %.1f ms to plan them, %s' \
+                "$(math 'a * 1e3' "$whole")" "$(get kernel blocks-$encoding device_blocks)" "$(math 'a * 1e3' "$cut")" \
+                "$(math '(a + b) * 1e3' "$(get kernel blocks-$encoding device_estimate_seconds)" \
+                    "$(get kernel blocks-$encoding device_plan_seconds)")" \
+                "$(runs kernel blocks-$encoding)")" "$(math a/b "$whole" "$cut")"
+    done
     for encoding in index mask; do
         rate=$(math a/1e6 "$(get kernel in-core-$encoding device_particles_per_gib)")
         row per_gib_$encoding "particles per GiB in core, $encoding" "$(show '%.2f M' "$rate")" - - \
             "$(show 'peak %.0f MB' "$(math a/1e6 "$(get kernel in-core-$encoding device_peak_bytes)")")" "$rate"
+    done
+}
+
+# The kernels before two edits, beside those of now: the same lists, in more or less time.
+measure_former() {
+    local encoding now before
+    if [ ! -x "$former" ]; then
+        say "former: SKIPPED, there is no program '$former'"
+        return
+    fi
+    local flags=(--scene block -n "$block_count" --radius-factor 2 --device "$device" --repeat "$repeat" --sample 0
+        --method in-core-mask,in-core-index,ours-mask)
+    step now 60 "${flags[@]}"
+    program=$former step former 60 "${flags[@]}"
+    for encoding in mask index; do
+        now=$(math 'a * 1e3' "$(get now in-core-$encoding device_search_seconds)")
+        before=$(math 'a * 1e3' "$(get former in-core-$encoding device_search_seconds)")
+        row former_$encoding "former kernels over those of now, block $block_count, $encoding" \
+            "$(show '%.3fx' "$(math a/b "$before" "$now")")" 1 "$(at_least "$(math a/b "$before" "$now")" 1)" \
+            "$(show 'former %.3f ms, now %.3f ms, %s' "$before" "$now" "$(runs now in-core-$encoding)")" "$(math a/b "$before" "$now")"
     done
 }
 
@@ -364,19 +395,13 @@ measure_scale() {
             "$(runs scale_16 blocks-mask)")" "$worst"
 }
 
-shopt -s extglob
 check_device
-measure_agreement
-measure_kernel
-measure_large
-measure_medium
-measure_scale
+[ -n "$only" ] || print_row what value bar reached note
+for part in "${parts[@]}"; do "measure_$part"; done
 write_summary
-echo
-print_table
-printf '\nlink: up %.1f GB/s, down %.1f GB/s; both at once: up %.1f, down %.1f\n' "$(link device up_gbs)" "$(link device down_gbs)" \
+printf 'link: up %.1f GB/s, down %.1f GB/s; both at once: up %.1f, down %.1f\n' "$(link device up_gbs)" "$(link device down_gbs)" \
     "$(link device both_up_gbs)" "$(link device both_down_gbs)"
 [ ${#failed[@]} -eq 0 ] || echo "failed: ${failed[*]}"
 [ ${#disagreeing[@]} -eq 0 ] || echo "methods disagree: ${disagreeing[*]}"
-echo "$SECONDS s; reports in $out; $out/$kept is for docs/results"
+echo "$SECONDS s; reports in $out$([ -n "$only" ] || echo "; $out/$kept is for docs/results")"
 [ ${#disagreeing[@]} -eq 0 ]

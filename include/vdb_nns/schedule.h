@@ -46,6 +46,8 @@ struct ScheduleOptions {
         0; ///< blocks of 2^k cells at most: the paper's fixed sizes; 0 for the largest that fit
     double cpuTestsPerSecond = 4e9; ///< of all threads together
     bool useCpu = true;             ///< TBB workers take blocks too, where that ends sooner
+    bool oneBlock =
+        false; ///< no more than one where everything fits the one device, even if more would end sooner: a baseline
 };
 
 /// The queries of a range of leaves, or a range of the queries of one leaf.
@@ -72,7 +74,8 @@ struct DevicePlan {
 };
 
 struct Schedule {
-    bool inCore = true; ///< one block: everything fits a device at once, or there is none
+    bool inCore =
+        true; ///< everything fits the one device at once, and is searched there; or there is no device
     BoundaryMode boundary = BoundaryMode::kHalo; ///< decided
     MemoryModel model;
     std::vector<Block> blocks;       ///< in the order of the grid; every query is in one of them
@@ -86,16 +89,17 @@ struct Schedule {
     double lowerBoundSeconds = 0; ///< all tests over the sum of all rates of tests
 };
 
-/// Most bytes that a block may have on a device: its memory, shared by its slots; all of it where there is one block.
+/// Most bytes that a block may have on a device beside others: its memory, shared by its slots.
 std::uint64_t blockBudget(const DeviceLimits& device);
 
-/// How far the tree is to be divided for those devices (WorkloadTreeOptions::nodeBytes): not at all where everything fits the
-/// one device; else into nodes that fit a slot, and somewhat smaller ones where so few would not keep all executors busy to
-/// the end.
+/// How far the tree is to be divided for those devices (WorkloadTreeOptions::nodeBytes): into nodes that fit a slot, and somewhat
+/// smaller ones where so few would not keep all executors busy to the end, or not all slots of the one device that everything
+/// fits. Not at all where everything fits and ScheduleOptions::oneBlock is set, or nothing could be gained.
 std::uint64_t nodeBytesFor(const SparseGrid& grid, const WorkEstimate& estimate, const MemoryModel& model,
                            const std::vector<DeviceLimits>& devices, const ScheduleOptions& options = {});
 
-/// Cuts the work into the largest nodes that fit every device, top-down; leaves that do not fit into ranges of queries.
+/// Cuts the work into the largest nodes that fit every device, top-down; leaves that do not fit into ranges of queries. What fits
+/// the one device is one block, unless the tree is divided and its nodes end sooner, as they are sent and searched side by side.
 /// A pure function: the same arguments give the same schedule.
 /// Cost: some microseconds a block.
 /// @throws InvalidInput for a device without memory, slots or speed, a block size below a leaf, a tree of another grid, or one

@@ -27,6 +27,7 @@ public:
     explicit CudaDevice(const OpenOptions& options) : mOptions(options)
     {
         select();
+        loadKernels();
         try {
             mSlots.resize(static_cast<std::size_t>(options.slots));
             for (Slot& slot : mSlots) {
@@ -305,6 +306,7 @@ std::vector<Device> listDevices()
 std::uint64_t freeBytes(int ordinal)
 {
     VDB_NNS_CUDA_CHECK(cudaSetDevice(ordinal));
+    loadKernels();
     std::size_t free = 0, total = 0;
     VDB_NNS_CUDA_CHECK(cudaMemGetInfo(&free, &total));
     return free - std::min<std::uint64_t>(free, kReserveBytes);

@@ -26,4 +26,12 @@ constexpr unsigned kSearchBlocks = 5, kNumberBlocks = 4;
 // Threads of a block that adds up rows, each kTileGroups / kScanThreads of a tile.
 constexpr unsigned kScanThreads = 256;
 
+// Whether candidates are gathered, and a query's own bit is cleared, behind branches, as they were before compiled code was
+// looked at: for a comparison on a GPU (tools/gpu_session.sh), which says whether that was worth it.
+#if defined(VDB_NNS_FORMER_KERNELS)
+constexpr bool kFormer = true;
+#else
+constexpr bool kFormer = false;
+#endif
+
 } // namespace vdb_nns::cuda

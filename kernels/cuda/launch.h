@@ -29,7 +29,7 @@ const char* buildDescription();
 ///         the message has the call, the code and the place.
 std::vector<Device> listDevices();
 
-/// Memory of a device that is free now, less what is left to the driver.
+/// Memory of a device that is free once the kernels are loaded, less what is left to the driver.
 /// @throws DeviceError
 std::uint64_t freeBytes(int ordinal);
 

@@ -233,19 +233,23 @@ __device__ void gather(const BlockView& block, RunTable& table, const Candidates
                        std::uint32_t begin, Gathered& out)
 {
     std::uint32_t before = markRuns(candidates, begin, table);
+    const std::uint32_t last = candidates.count - 1;
 #pragma unroll
     for (int k = 0; k < kWords; ++k) {
         const std::uint32_t candidate = begin + static_cast<std::uint32_t>(k) * kWarpSize + lane();
         const std::uint32_t begins = table.begins[k], run = runOf(begins, before);
         before += static_cast<std::uint32_t>(__popc(begins));
-        out.x[k] = out.y[k] = out.z[k] = 0;
-        out.w[k] = INFINITY;
-        if (candidate >= candidates.count) continue;
-        const std::uint32_t slot = candidate + table.offset[run];
+        if (kFormer && candidate > last) {
+            out.x[k] = out.y[k] = out.z[k] = 0;
+            out.w[k] = INFINITY;
+            continue;
+        }
+        // Without a branch, so that the loads of all words are under way at once.
+        const std::uint32_t slot = (kFormer || candidate < last ? candidate : last) + table.offset[run];
         out.x[k] = block.x[slot] + table.x[run];
         out.y[k] = block.y[slot] + table.y[run];
         out.z[k] = block.z[slot] + table.z[run];
-        out.w[k] = squaredNorm(out.x[k], out.y[k], out.z[k]);
+        out.w[k] = kFormer || candidate <= last ? squaredNorm(out.x[k], out.y[k], out.z[k]) : INFINITY;
         if (kWithNumbers) out.number[k] = block.number[slot];
     }
 }
@@ -362,7 +366,14 @@ __device__ void searchGathered(const GroupSearch& search, const RunTable& table,
             std::uint64_t next = fromLane(own.next, owner);
 #pragma unroll
             for (int k = 0; k < kCount; ++k) {
-                if (self / 32 == static_cast<std::uint32_t>(k)) hits[k] &= ~(1u << self % 32);
+                const bool hasSelf = self / 32 == static_cast<std::uint32_t>(k);
+                const std::uint32_t others = ~(1u << self % 32);
+                if (kFormer) {
+                    if (hasSelf) hits[k] &= others;
+                } else {
+                    // Chosen, not branched: for a branch the compiler keeps the words in local memory.
+                    hits[k] &= hasSelf ? others : ~0u;
+                }
                 if (hits[k] >> lane() & 1) {
                     search.rows[next + static_cast<unsigned>(__popc(hits[k] & lanesBelow()))] =
                         gathered.number[k];
@@ -544,7 +555,26 @@ void launchSumsAsync(const GroupSearch& search, cudaStream_t stream)
     launch("add up tiles", addTilesKernel, 1, kScanThreads, stream, search);
 }
 
+template <typename... Parameters>
+void load(void (*kernel)(Parameters...))
+{
+    cudaFuncAttributes attributes;
+    VDB_NNS_CUDA_CHECK(cudaFuncGetAttributes(&attributes, kernel));
+}
+
 } // namespace
+
+void loadKernels()
+{
+    load(clearHeadKernel);
+    load(addGroupsKernel);
+    load(addTilesKernel);
+    load(searchGroupsKernel<Pass::kCount>);
+    load(searchGroupsKernel<Pass::kCountRows>);
+    load(searchGroupsKernel<Pass::kMeasure>);
+    load(searchGroupsKernel<Pass::kMasks>);
+    load(searchGroupsKernel<Pass::kNumbers>);
+}
 
 void launchSearchAsync(const BlockSearch& block, cudaStream_t stream)
 {

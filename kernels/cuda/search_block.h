@@ -7,6 +7,11 @@
 
 namespace vdb_nns::cuda {
 
+/// Loads all kernels into the current device, which the driver else does at the first launch of each: while that is timed, and
+/// when the device may be full.
+/// @throws DeviceError
+void loadKernels();
+
 /// Starts the kernels of a block on a stream. The result has the layout of shared/block_result.h: counts and masks, or
 /// counts and numbers of neighbors, or counts alone. Allocates nothing and waits for nothing.
 /// @throws DeviceError if a kernel cannot start

@@ -33,10 +33,10 @@ namespace vdb_nns {
 
 namespace {
 
-// Most bytes that a block of the schedule may have on a device.
+// Most bytes that a block of the schedule may have on a device: all of its memory where it is alone there.
 std::uint64_t budgetOf(const Schedule& schedule, const DeviceLimits& device)
 {
-    return schedule.inCore ? device.memoryBytes : blockBudget(device);
+    return schedule.inCore && schedule.blocks.size() == 1 ? device.memoryBytes : blockBudget(device);
 }
 
 // Each slot as large as the largest block of the schedule that may go to the device.

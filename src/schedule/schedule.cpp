@@ -210,40 +210,74 @@ void handOut(const std::vector<DeviceLimits>& devices, const std::vector<std::ui
     }
 }
 
+// Cut into blocks for the slots of the devices.
 Schedule scheduleWith(const SparseGridData& grid, const WorkloadTree& tree,
                       const std::vector<DeviceLimits>& devices, const ScheduleOptions& options,
-                      BoundaryMode boundary)
+                      BoundaryMode boundary, bool inCore)
 {
     Schedule schedule;
     schedule.boundary = boundary;
     schedule.model = tree.options.model;
+    schedule.inCore = inCore;
     std::vector<std::uint64_t> budgets;
     for (const DeviceLimits& device : devices) budgets.push_back(blockBudget(device));
-    const bool withHalo = boundary == BoundaryMode::kHalo;
-    const WorkloadNode& root = tree.nodes[0];
-    const std::uint64_t everything = blockBytes(root, tree.options.model).total();
-    const bool fitsOne = std::any_of(devices.begin(), devices.end(), [&](const DeviceLimits& device) {
-        return everything <= device.memoryBytes;
-    });
-    if (devices.empty() || (fitsOne && devices.size() == 1 && options.blockLog2Cells == 0)) {
-        if (root.work.particles > 0) schedule.blocks.push_back(blockOf(root, grid, tree.options.model, true));
-        for (std::size_t d = 0; d < devices.size(); ++d) budgets[d] = devices[d].memoryBytes;
-        ScheduleOptions alone = options;
-        alone.useCpu = devices.empty();
-        handOut(devices, budgets, alone, schedule);
-    } else {
-        schedule.inCore = false;
-        const std::uint64_t budget = *std::min_element(budgets.begin(), budgets.end());
-        const int ofTree = tree.options.blockLog2Cells, wanted = options.blockLog2Cells;
-        const int blockLog2Cells = ofTree && wanted ? std::min(ofTree, wanted) : ofTree + wanted;
-        Cutter cutter(grid, tree, budget, blockLog2Cells, withHalo);
-        schedule.blocks = cutter.cut();
-        handOut(devices, budgets, options, schedule);
-    }
-    for (const Block& block : schedule.blocks) {
-        schedule.largestLog2Cells = std::max(schedule.largestLog2Cells, block.log2Cells);
-    }
+    const std::uint64_t budget = *std::min_element(budgets.begin(), budgets.end());
+    const int ofTree = tree.options.blockLog2Cells, wanted = options.blockLog2Cells;
+    const int blockLog2Cells = ofTree && wanted ? std::min(ofTree, wanted) : ofTree + wanted;
+    schedule.blocks =
+        Cutter(grid, tree, budget, blockLog2Cells, schedule.boundary == BoundaryMode::kHalo).cut();
+    handOut(devices, budgets, options, schedule);
     return schedule;
+}
+
+bool fitsOne(const std::vector<DeviceLimits>& devices, const ScheduleOptions& options,
+             std::uint64_t everythingBytes)
+{
+    return devices.size() == 1 && options.blockLog2Cells == 0 && everythingBytes <= devices[0].memoryBytes;
+}
+
+// All of it, on the one device or on the CPU where there is none.
+Schedule scheduleAtOnce(const SparseGridData& grid, const WorkloadTree& tree,
+                        const std::vector<DeviceLimits>& devices, const ScheduleOptions& options)
+{
+    const WorkloadNode& root = tree.nodes[0];
+    Schedule one;
+    one.model = tree.options.model;
+    one.boundary = options.boundary == BoundaryMode::kCpu ? BoundaryMode::kCpu : BoundaryMode::kHalo;
+    if (root.work.particles > 0) one.blocks.push_back(blockOf(root, grid, tree.options.model, true));
+    std::vector<std::uint64_t> budgets;
+    for (const DeviceLimits& device : devices) budgets.push_back(device.memoryBytes);
+    ScheduleOptions alone = options;
+    alone.useCpu = devices.empty();
+    handOut(devices, budgets, alone, one);
+    // A tree that is not divided so far has no nodes for the slots.
+    if (devices.empty() || tree.options.nodeBytes > blockBudget(devices[0])) return one;
+    Schedule cut = scheduleWith(grid, tree, devices, alone, one.boundary, true);
+    const bool endsSooner = cut.tooLargeQueries == 0 && cut.predictedSeconds < one.predictedSeconds;
+    return endsSooner ? cut : one;
+}
+
+Schedule scheduleFor(const SparseGridData& grid, const WorkloadTree& tree,
+                     const std::vector<DeviceLimits>& devices, const ScheduleOptions& options)
+{
+    if (devices.empty() || fitsOne(devices, options, blockBytes(tree.nodes[0], tree.options.model).total())) {
+        return scheduleAtOnce(grid, tree, devices, options);
+    }
+    if (options.boundary != BoundaryMode::kAuto) {
+        return scheduleWith(grid, tree, devices, options, options.boundary, false);
+    }
+    Schedule halo = scheduleWith(grid, tree, devices, options, BoundaryMode::kHalo, false);
+    Schedule cpu = scheduleWith(grid, tree, devices, options, BoundaryMode::kCpu, false);
+    return cpu.predictedSeconds < halo.predictedSeconds ? cpu : halo;
+}
+
+// Seconds that blocks side by side can save over one at most: but for the slowest stage they hide all.
+double mostOverlap(const Work& work, const BlockBytes& bytes, const Rates& rates)
+{
+    const double search = static_cast<double>(work.candidateTests) / rates.testsPerSecond,
+                 up = static_cast<double>(bytes.up) / rates.uploadBytesPerSecond,
+                 down = static_cast<double>(bytes.down) / rates.downloadBytesPerSecond;
+    return search + up + down - std::max({search, up, down});
 }
 
 } // namespace
@@ -252,22 +286,29 @@ std::uint64_t nodeBytesFor(const SparseGrid& grid, const WorkEstimate& estimate,
                            const std::vector<DeviceLimits>& devices, const ScheduleOptions& options)
 {
     // With fewer blocks than that for each executor they do not end together; with blocks whose search takes less than 20
-    // latencies, those cost more than that loses.
-    constexpr double kBlocksEach = 48, kLatencies = 20;
+    // latencies, those cost more than that loses. Where everything fits, makeSchedule() weighs that against one block.
+    constexpr double kBlocksEach = 48, kLatencies = 20, kBlocksOfSlot = 4;
     if (devices.empty()) return std::numeric_limits<std::uint64_t>::max();
     WorkloadNode root;
     root.endLeaf = static_cast<std::uint32_t>(grid.leafCount());
     root.occupiedCells = grid.cellCount();
     root.work = estimate.total;
-    const std::uint64_t everything = blockBytes(root, model).total();
-    const bool mayBeOne = devices.size() == 1 && options.blockLog2Cells == 0;
-    if (mayBeOne && everything <= devices[0].memoryBytes) return devices[0].memoryBytes;
+    const BlockBytes bytes = blockBytes(root, model);
+    const std::uint64_t everything = bytes.total();
+    const bool isInCore = fitsOne(devices, options, everything);
+    if (isInCore && options.oneBlock) return devices[0].memoryBytes;
     std::uint64_t budget = std::numeric_limits<std::uint64_t>::max();
     for (const DeviceLimits& device : devices) budget = std::min(budget, blockBudget(device));
     double blocks = kBlocksEach * static_cast<double>(devices.size() + (options.useCpu ? 1 : 0));
     for (const DeviceLimits& device : devices) {
         const double tests = kLatencies * device.rates.latencySeconds * device.rates.testsPerSecond;
         if (tests > 0) blocks = std::min(blocks, static_cast<double>(estimate.total.candidateTests) / tests);
+    }
+    if (isInCore) {
+        blocks = std::max(blocks, kBlocksOfSlot * devices[0].slots);
+        if (blocks * devices[0].rates.latencySeconds >= mostOverlap(root.work, bytes, devices[0].rates)) {
+            return devices[0].memoryBytes;
+        }
     }
     return std::min(budget,
                     static_cast<std::uint64_t>(static_cast<double>(everything) / std::max(1.0, blocks)));
@@ -287,13 +328,11 @@ Schedule makeSchedule(const SparseGrid& grid, const WorkloadTree& tree,
         throw InvalidInput("the workload tree is not of a grid with " + std::to_string(grid.leafCount()) +
                            " leaves");
     }
-    if (options.boundary != BoundaryMode::kAuto) {
-        return scheduleWith(grid.data(), tree, devices, options, options.boundary);
+    Schedule schedule = scheduleFor(grid.data(), tree, devices, options);
+    for (const Block& block : schedule.blocks) {
+        schedule.largestLog2Cells = std::max(schedule.largestLog2Cells, block.log2Cells);
     }
-    Schedule halo = scheduleWith(grid.data(), tree, devices, options, BoundaryMode::kHalo);
-    if (halo.inCore) return halo;
-    Schedule cpu = scheduleWith(grid.data(), tree, devices, options, BoundaryMode::kCpu);
-    return cpu.predictedSeconds < halo.predictedSeconds ? cpu : halo;
+    return schedule;
 }
 
 const char* deviceKindName(DeviceKind kind)

@@ -31,10 +31,17 @@ constexpr Encoding kEncodings[] = {Encoding::kMask, Encoding::kIndex, Encoding::
 
 #if defined(VDB_NNS_EMULATED)
 constexpr std::uint64_t kDeviceBytes = std::uint64_t(1) << 30;
-constexpr std::uint64_t kScale = 1; // of the scenes
+constexpr std::uint64_t kUsualScale = 1;
 #else
-constexpr std::uint64_t kScale = 100;
+constexpr std::uint64_t kUsualScale = 100;
 #endif
+
+// Of the scenes: tools that watch every access want smaller ones.
+std::uint64_t scale()
+{
+    const char* const asked = std::getenv("VDB_NNS_GPU_SCALE");
+    return asked ? std::max<std::uint64_t>(1, std::strtoull(asked, nullptr, 10)) : kUsualScale;
+}
 
 class CudaSearch : public ::testing::TestWithParam<int> {
 protected:
@@ -138,7 +145,7 @@ TEST_P(CudaSearch, EveryDistributionGivesTheOraclesLists)
 TEST_P(CudaSearch, AnyBudgetBoundaryAndBlockSizeGiveTheSameLists)
 {
     for (const char* name : {"block", "clusters", "spray", "sheet"}) {
-        const SceneGrid scene(name, 3000 * kScale);
+        const SceneGrid scene(name, 3000 * scale());
         const EstimatedGrid problem(scene.grid);
         for (const Encoding encoding : kEncodings) {
             const NeighborLists truth = plainLists(problem.grid, encoding);
@@ -163,12 +170,30 @@ TEST_P(CudaSearch, AnyBudgetBoundaryAndBlockSizeGiveTheSameLists)
     }
 }
 
+// Everything fits, and goes in blocks that are sent and searched side by side.
+TEST_P(CudaSearch, InCoreInSeveralBlocksGivesTheSameLists)
+{
+    const SceneGrid scene("block", 12000 * scale());
+    const EstimatedGrid problem(scene.grid);
+    for (const Encoding encoding : kEncodings) {
+        SCOPED_TRACE(nameOf(encoding));
+        std::vector<DeviceLimits> devices = devicesOf(3 * problem.need(encoding));
+        devices[0].rates.latencySeconds = 0;
+        ScheduleRun report;
+        const NeighborLists lists = searchOn(problem, encoding, devices, {}, report);
+        expectSameLists(lists, plainLists(problem.grid, encoding));
+        EXPECT_GT(report.devices[0].blocks, 1u);
+        EXPECT_EQ(report.devices[0].particles, problem.grid.particleCount());
+        EXPECT_EQ(report.halvings, 0u);
+    }
+}
+
 // All pairs of a lattice at its radius are in the error band: the list of undecided pairs overflows, and blocks are redone.
 TEST_P(CudaSearch, ALatticeIsDecidedByTheHost)
 {
     SceneOptions options;
     options.name = "lattice";
-    options.count = 4096 * kScale;
+    options.count = 4096 * scale();
     const Scene scene = makeScene(options);
     const EstimatedGrid problem(
         gridOf(ParticleView::fromArray(scene.positions.data(), options.count), scene.suggestedRadius, 1));
@@ -191,7 +216,7 @@ TEST_P(CudaSearch, ALatticeIsDecidedByTheHost)
 
 TEST_P(CudaSearch, RowsThatFindNoRoomAreRedone)
 {
-    const SceneGrid scene("clusters", 3000 * kScale);
+    const SceneGrid scene("clusters", 3000 * scale());
     EstimatedGrid problem(scene.grid);
     for (Work& leaf : problem.estimate.leaves) leaf.expectedPairs *= 0.3;
     problem.estimate.total.expectedPairs *= 0.3;
@@ -207,7 +232,7 @@ TEST_P(CudaSearch, RowsThatFindNoRoomAreRedone)
 
 TEST_P(CudaSearch, MappedMemoryGivesTheSameLists)
 {
-    const SceneGrid scene("spray", 3000 * kScale);
+    const SceneGrid scene("spray", 3000 * scale());
     const EstimatedGrid problem(scene.grid);
     for (const Encoding encoding : kEncodings) {
         std::vector<DeviceLimits> devices = devicesOf(problem.need(encoding));

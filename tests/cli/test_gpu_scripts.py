@@ -1,7 +1,8 @@
 """The scripts for machines with a GPU, where there is none: tools/gpu_bench.sh in small on emulated devices runs to its end, prints
-every row and writes its reports; tools/gpu_check.sh judges stand-ins for the tests and for compute-sanitizer.
+every row and writes its reports; tools/gpu_check.sh judges stand-ins for the tests and for compute-sanitizer; tools/gpu_session.sh is
+rehearsed with both and a stand-in for ncu.
 
-usage: test_gpu_scripts.py TOOLS_FOLDER VDB_NNS_EMULATED
+usage: test_gpu_scripts.py TOOLS_FOLDER VDB_NNS_EMULATED VDB_NNS_EMULATED_FORMER TEST_CUDA_EMULATED
 """
 import datetime
 import json
@@ -9,17 +10,23 @@ import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import tempfile
 import unittest
 
-KEYS = ["agreement", "kernel_mask", "kernel_index", "kernel_floor", "per_gib_index", "per_gib_mask", "link_share",
+KEYS = ["agreement", "kernel_mask", "kernel_index", "kernel_floor", "cut_mask", "cut_index", "per_gib_index", "per_gib_mask",
+        "former_mask", "former_index", "link_share",
         "end_to_end", "over_mapped", "mapped_link", "over_all_cores", "block_sizes", "cpu_and_gpu", "index_link_share",
         "over_one_core", "scale"]
 
 
 def gpu_bench(*args, **variables):
-    environment = {**os.environ, "VDB_NNS": PROGRAM, "VDB_NNS_EMULATED_DEVICES": "256", **variables}
-    return run("gpu_bench.sh", args, environment)
+    return run("gpu_bench.sh", args, emulated(**variables))
+
+
+def emulated(**variables):
+    return {**os.environ, "VDB_NNS": PROGRAM, "VDB_NNS_FORMER": FORMER, "TEST_CUDA_GPU": TESTS, "VDB_NNS_EMULATED_DEVICES": "256",
+            **variables}
 
 
 def run(script, args, environment):
@@ -32,6 +39,13 @@ class ScriptCase(unittest.TestCase):
         folder = tempfile.TemporaryDirectory(prefix="vdb_nns_gpu_bench_")
         self.addCleanup(folder.cleanup)
         self.folder = folder.name
+
+    def program(self, name, lines):
+        path = os.path.join(self.folder, name)
+        with open(path, "w") as file:
+            file.write("#!/bin/sh\n" + lines)
+        os.chmod(path, 0o755)
+        return path
 
 
 class GpuBench(ScriptCase):
@@ -84,11 +98,7 @@ class GpuBench(ScriptCase):
             self.assertEqual(json.load(file), summary)
 
     def stand_in(self, lines):
-        path = os.path.join(self.folder, "stand in")
-        with open(path, "w") as file:
-            file.write("#!/bin/sh\n" + lines)
-        os.chmod(path, 0o755)
-        return path
+        return self.program("stand in", lines)
 
     def agreement(self, lines):
         done = gpu_bench("--tiny", self.folder, VDB_NNS=self.stand_in(lines + "\nexit 0\n"))
@@ -145,25 +155,100 @@ class GpuBench(ScriptCase):
         self.assertEqual(done.returncode, 5, done.stderr)
         self.assertIn("CUDA", done.stderr)
         self.assertEqual(gpu_bench("--huge").returncode, 2)
+        self.assertEqual(gpu_bench("--only", "all", self.folder).returncode, 2)
         self.assertEqual(gpu_bench("a", "b").returncode, 2)
         self.assertEqual(gpu_bench(self.folder, VDB_NNS=self.folder + "/none").returncode, 2)
 
 
-class GpuCheck(ScriptCase):
-    def program(self, name, lines):
-        path = os.path.join(self.folder, name)
-        with open(path, "w") as file:
-            file.write("#!/bin/sh\n" + lines)
-        os.chmod(path, 0o755)
-        return path
+# What Nsight Compute writes: a head, units, and a line for each kernel.
+NCU = """
+while [ "$1" != --log-file ]; do shift; done
+printf '%s\n' '==PROF== Connected to process 1' '"ID","Kernel Name","smsp__inst_executed.sum","unit__other.sum"' '"","","inst",""' \
+    '"0","void searchGroupsKernel<2>(A, B)","1,234","5"' >"$2"
+shift 2
+exec "$@"
+"""
 
-    def check(self, tests="echo '[  PASSED  ] 2 tests.'", racecheck="0 hazards", memcheck="0 errors", **variables):
-        self.program("compute-sanitizer", f"""
-case "$*" in *racecheck*) echo "===== RACECHECK SUMMARY: {racecheck} displayed" ;;
+
+class GpuSession(ScriptCase):
+    """The rehearsal: limits of what comes back, every step there, in an environment without a real GPU."""
+
+    def session(self, call, *flags, **variables):
+        tools = os.path.join(self.folder, "tools")
+        os.makedirs(tools, exist_ok=True)
+        self.program("tools/ncu", NCU)
+        self.program("tools/nvidia-smi", "echo name, 1.2.3\n")
+        self.program("tools/compute-sanitizer", SANITIZER.format(racecheck="1 hazard", memcheck="0 errors"))
+        few = "*MappedMemory*"
+        environment = emulated(PATH=tools + ":" + os.environ["PATH"], GTEST_FILTER=few, SELECTION=few)
+        self.out = os.path.join(self.folder, "out")
+        return run("gpu_session.sh", ["--tiny", *flags, call, self.out], {**environment, **variables})
+
+    def kept(self, call):
+        self.assertEqual(sorted(os.listdir(self.out)), [f"call{call}.tar.gz", f"call{call}.txt"])
+        archive = os.path.join(self.out, f"call{call}.tar.gz")
+        self.assertLess(os.path.getsize(archive), 16 << 20)
+        with tarfile.open(archive) as tar:
+            return {name[2:] for name in tar.getnames()}
+
+    def test_call_1(self):
+        done = self.session("1", "--host-memory", "4GiB")
+        # The one step that fails is said to have, and stops nothing.
+        self.assertEqual(done.returncode, 1, done.stdout + done.stderr)
+        self.assertEqual([line.split()[3] for line in done.stdout.splitlines() if "FAILED with" in line and line.startswith("[")],
+                         ["racecheck:"], done.stdout)
+        for said in ("name, 1.2.3", "MemTotal", "tests      ok; 2 tests", "memcheck   ok;", "synccheck  ok;",
+                     "| former kernels over those of now, block 1k, mask ", "| kernel, in core, block 1k, index ",
+                     "| the same at once over in blocks, mask ", "void searchGroupsKernel<2>(A, B): smsp__inst_executed.sum 1,234"):
+            self.assertEqual(done.stdout.count(said) > 0, True, said + " is not in\n" + done.stdout)
+        self.assertNotIn("unit__other", done.stdout)
+        self.assertNotIn("SKIPPED, no time", done.stdout)
+        names = self.kept(1)
+        self.assertTrue({"tests.txt", "racecheck.txt", "now.json", "former.json", "kernel.json", "ncu_mask.csv"} <= names, names)
+        with open(os.path.join(self.out, "call1.txt")) as file:
+            self.assertEqual(file.read(), done.stdout)
+
+    def test_call_2(self):
+        done = self.session("2")
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        self.assertNotIn("FAILED", done.stdout)
+        for said in ("CPU = GPU = CPU + GPU, checksums", "masks: upload + search + download", "over mapped host memory", "time by size of",
+                     "makespan over lower bound", "1x, 4x, 16x larger", "with host bucketing"):
+            self.assertEqual(done.stdout.count(said), 1, said)
+        self.assertTrue({"agree_seam.json", "large.json", "sizes.csv", "summary_scale.json"} <= self.kept(2))
+
+    def test_what_is_missing_is_said(self):
+        done = self.session("1", VDB_NNS_FORMER=self.folder + "/none", TEST_CUDA_GPU=self.folder + "/none", VDB_NNS_EMULATED_DEVICES="")
+        self.assertEqual(done.returncode, 1)
+        for step in ("tests", "memcheck", "racecheck", "synccheck"):
+            self.assertIn(f"] {step}: SKIPPED, there is no program", done.stdout)
+        self.assertIn("] kernel: FAILED with 5: ", done.stdout)
+        self.assertIn("CUDA", done.stdout)
+
+    def test_time_that_is_up(self):
+        done = self.session("2", DEADLINE="0")
+        self.assertEqual((done.returncode, done.stdout.count("SKIPPED, no time is left")), (1, 5), done.stdout)
+        self.kept(2)
+
+    def test_bad_arguments(self):
+        for arguments in ([], ["3"], ["1", "a", "b"], ["--huge", "1"], ["1", ""]):
+            self.assertEqual(run("gpu_session.sh", arguments, os.environ).returncode, 2, arguments)
+        done = run("gpu_session.sh", ["--help"], os.environ)
+        self.assertEqual((done.returncode, done.stderr), (0, ""))
+        self.assertIn("DEADLINE=SECONDS", done.stdout)
+
+
+SANITIZER = """
+case "$*" in *--version*) echo "Version 1"; exit ;; *racecheck*) echo "===== RACECHECK SUMMARY: {racecheck} displayed" ;;
 *memcheck*) echo "===== ERROR SUMMARY: {memcheck}" ;; *) echo "===== ERROR SUMMARY: 0 errors" ;; esac
 while [ "${{1#--}}" != "$1" ]; do shift 2; done
 "$@"
-""")
+"""
+
+
+class GpuCheck(ScriptCase):
+    def check(self, tests="echo '[  PASSED  ] 2 tests.'", racecheck="0 hazards", memcheck="0 errors", **variables):
+        self.program("compute-sanitizer", SANITIZER.format(racecheck=racecheck, memcheck=memcheck))
         environment = {**os.environ, "PATH": self.folder + ":" + os.environ["PATH"], **variables}
         return run("gpu_check.sh", [self.program("tests", tests), self.folder + "/logs"], environment)
 
@@ -192,5 +277,5 @@ while [ "${{1#--}}" != "$1" ]; do shift 2; done
 
 
 if __name__ == "__main__":
-    TOOLS, PROGRAM = sys.argv[1:3]
-    unittest.main(argv=sys.argv[:1] + sys.argv[3:], verbosity=2)
+    TOOLS, PROGRAM, FORMER, TESTS = sys.argv[1:5]
+    unittest.main(argv=sys.argv[:1] + sys.argv[5:], verbosity=2)

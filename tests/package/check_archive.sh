@@ -18,7 +18,7 @@ archive=${archives[0]} name=$(basename "${archives[0]}" .tar.gz)
 (cd "$work/cpack" && sha256sum --quiet -c "$name.tar.gz.sha256") || fail "the checksum beside the archive"
 size=$(stat -c %s "$archive")
 echo "$name.tar.gz: $((size / 1000)) kB"
-[ "$size" -lt 100000000 ] || fail "the archive is too large"
+[ "$size" -lt $((64 << 20)) ] || fail "the archive is too large"
 ! tar -tf "$archive" | grep -v "^$name/" || fail "files outside of the folder $name"
 
 # The machine without libraries. Its /proc is a link that says who runs, which is what the loader makes $ORIGIN from.
@@ -35,25 +35,31 @@ tar -xzf "$archive" -C "$root/place one"
 package="$root/place one/$name"
 
 find "$package" -type l -o -type f | sed "s|^$package/||" | sort >"$work/files"
-for file in bin/vdb_nns bin/gpu_bench.sh share/vdb_nns/chart.py LICENSE README.md INSTALL.txt; do
+for file in bin/vdb_nns bin/gpu_bench.sh bin/gpu_check.sh bin/gpu_session.sh share/vdb_nns/chart.py LICENSE README.md INSTALL.txt; do
     grep -qx "$file" "$work/files" || fail "no $file in the package"
 done
-! grep -vE '^(bin/vdb_nns|bin/gpu_bench\.sh|LICENSE|README\.md|INSTALL\.txt|lib/vdb_nns/lib[^/]*\.so[^/]*|share/doc/vdb_nns/.*|share/vdb_nns/(chart|charts/[a-z_]+)\.py)$' "$work/files" ||
+! grep -vE '^(bin/vdb_nns(_former)?|bin/test_cuda_gpu|bin/gpu_(bench|check|session)\.sh|LICENSE|README\.md|INSTALL\.txt|lib/vdb_nns/lib[^/]*\.so[^/]*|share/doc/vdb_nns/.*|share/vdb_nns/(chart|charts/[a-z_]+)\.py)$' "$work/files" ||
     fail "files that nobody expected in the package"
 ! grep -E '/(ld-linux|lib(c|m|mvec|pthread|dl|rt|resolv)\.so)' "$work/files" || fail "parts of the C library in the package"
 
 # One rpath, that of the program; nothing younger than the C library that INSTALL.txt names; stripped.
-rpath=$(readelf -dW "$package/bin/vdb_nns" | grep -E 'RPATH|RUNPATH' || true)
-[[ "$rpath" =~ \(RPATH\)\ +'Library rpath: [$ORIGIN/../lib/vdb_nns]'$ ]] || fail "rpath of the program: '$rpath'"
+programs=()
+for file in "$package"/bin/*; do
+    [[ "$file" == *.sh ]] || programs+=("$file")
+done
+for binary in "${programs[@]}"; do
+    rpath=$(readelf -dW "$binary" | grep -E 'RPATH|RUNPATH' || true)
+    [[ "$rpath" =~ \(RPATH\)\ +'Library rpath: [$ORIGIN/../lib/vdb_nns]'$ ]] || fail "rpath of $binary: '$rpath'"
+    ! readelf -SW "$binary" | grep -F .symtab || fail "$binary is not stripped"
+done
 for library in "$package"/lib/vdb_nns/*; do
     ! readelf -dW "$library" | grep -E 'RPATH|RUNPATH' || fail "$library has an rpath"
 done
-readelf -VW "$package/bin/vdb_nns" "$package"/lib/vdb_nns/* >"$work/versions"
+readelf -VW "${programs[@]}" "$package"/lib/vdb_nns/* >"$work/versions"
 needed=$(grep -oE 'Name: GLIBC_[0-9.]+' "$work/versions" | sed 's/.*_//' | sort -V | tail -1)
 named=$(sed -n 's/.*(glibc) \([0-9.]*\) or later.*/\1/p' "$package/INSTALL.txt")
 echo "glibc: needs $needed, INSTALL.txt says $named"
 [ "$(printf '%s\n' "$needed" "$named" | sort -V | tail -1)" = "$named" ] || fail "INSTALL.txt names too old a glibc"
-! readelf -SW "$package/bin/vdb_nns" | grep -F .symtab || fail "the program is not stripped"
 
 # check_resolved FOLDER <loader's list: all libraries are in FOLDER but for the C library.
 check_resolved() {
@@ -118,6 +124,10 @@ try() {
     inside "$start" search /tmp/b.vdb --checksum -o /tmp/b.npz --json - >"$work/found.json" 2>"$work/found.err"
     [ "$(checksum "$work/found.json")" = "$expected" ] || fail "checksum of $start: $(cat "$work/found.json")"
     cmp "$root/tmp/b.npz" "$work/b.npz" || fail "the lists of $start differ from those of $program"
+    if [ -e "$root/$1/bin/test_cuda_gpu" ]; then # which lists its tests where there is no GPU
+        ln -sfn "$1/bin/test_cuda_gpu" "$root/proc/self/exe"
+        inside "$1/bin/test_cuda_gpu" --gtest_list_tests | grep -q EveryDistribution || fail "test_cuda_gpu does not run"
+    fi
     echo "works: '$start', checksum $expected"
 }
 try "/place one/$name"

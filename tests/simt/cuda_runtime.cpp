@@ -10,6 +10,7 @@
 #include <memory>
 #include <mutex>
 #include <random>
+#include <set>
 #include <string>
 #include <utility>
 
@@ -56,7 +57,8 @@ struct Machine {
     std::list<CUstream_st> streams; // destroyed ones stay, so that no handle comes twice
     std::list<CUevent_st> events;   // likewise
     std::map<std::string, std::pair<int, cudaError_t>> failures;
-    long tick = 0; // pieces of work so far
+    std::set<std::pair<int, const void*>> kernels; // loaded, with the device
+    long tick = 0;                                 // pieces of work so far
     bool isBroken = false;
     std::exception_ptr thrown;
 
@@ -75,6 +77,15 @@ struct Machine {
     {
         require(device >= 0 && device < static_cast<int>(totalBytes.size()), cudaErrorInvalidDevice);
         return device;
+    }
+
+    void load(int device, const void* kernel)
+    {
+        if (kernels.count({device, kernel}) > 0) return;
+        require(simt::kKernelBytes <= totalBytes[known(device)] - usedBytes[device],
+                cudaErrorMemoryAllocation);
+        usedBytes[device] += simt::kKernelBytes;
+        kernels.insert({device, kernel});
     }
 
     void* allocate(std::size_t bytes, int device, unsigned flags)
@@ -202,6 +213,10 @@ SIMT_CALL(cudaGetDeviceCount, (int* count), {
 })
 SIMT_CALL(cudaGetDeviceProperties, (cudaDeviceProp * all, int device),
           *all = {"SIMT emulation", machine().totalBytes[machine().known(device)], 9, 0, 4, 0, device + 1, 0})
+SIMT_CALL(cudaFuncGetAttributes, (cudaFuncAttributes * all, const void* kernel), {
+    machine().load(tDevice, kernel);
+    *all = {};
+})
 SIMT_CALL(cudaSetDevice, (int device), tDevice = machine().known(device))
 SIMT_CALL(cudaGetDevice, (int* device), *device = tDevice)
 SIMT_CALL(cudaDriverGetVersion, (int* version), *version = 12000)
@@ -327,10 +342,18 @@ std::size_t liveAllocations()
     return count;
 }
 
-void enqueueLaunch(cudaStream_t stream, const std::function<void(std::uint64_t seed)>& run)
+std::size_t loadedKernels()
+{
+    const std::lock_guard<std::mutex> lock(gMutex);
+    return machine().kernels.size();
+}
+
+void enqueueLaunch(const void* kernel, cudaStream_t stream,
+                   const std::function<void(std::uint64_t seed)>& run)
 {
     call("launch", [&] {
         require(machine().live(stream).device == tDevice, cudaErrorInvalidResourceHandle);
+        machine().load(tDevice, kernel);
         stream->queue.push_back([run, seed = machine().random()] { run(seed); });
     });
 }

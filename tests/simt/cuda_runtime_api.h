@@ -41,6 +41,15 @@ struct cudaDeviceProp {
 
 cudaError_t cudaGetDeviceCount(int*), cudaSetDevice(int), cudaGetDevice(int*);
 cudaError_t cudaGetDeviceProperties(cudaDeviceProp*, int device);
+struct cudaFuncAttributes {
+    size_t localSizeBytes;
+};
+cudaError_t cudaFuncGetAttributes(cudaFuncAttributes*, const void* kernel);
+template <class... Parameters>
+cudaError_t cudaFuncGetAttributes(cudaFuncAttributes* all, void (*kernel)(Parameters...))
+{
+    return cudaFuncGetAttributes(all, reinterpret_cast<const void*>(kernel));
+}
 cudaError_t cudaDriverGetVersion(int*), cudaRuntimeGetVersion(int*);
 cudaError_t cudaGetLastError(), cudaPeekAtLastError();
 const char* cudaGetErrorName(cudaError_t);
@@ -71,14 +80,20 @@ void fail(const char* callName, int afterCalls, cudaError_t code);
 /// Allocations on devices and host, streams and events that nobody has freed or destroyed.
 std::size_t liveAllocations();
 
-void enqueueLaunch(cudaStream_t stream, const std::function<void(std::uint64_t seed)>& run);
+/// Kernels that are in a device's memory, over all devices: each is loaded when its attributes are asked for, or else by its first
+/// launch, and takes kKernelBytes.
+std::size_t loadedKernels();
+constexpr std::size_t kKernelBytes = 16;
+
+void enqueueLaunch(const void* kernel, cudaStream_t stream,
+                   const std::function<void(std::uint64_t seed)>& run);
 
 /// Stands for `kernel<<<grid, block, sharedBytes, stream>>>(args...)`: cudaGetLastError() tells of errors.
 template <class... Parameters, class... Arguments>
 void launchAsync(void (*kernel)(Parameters...), dim3 grid, dim3 block, std::size_t sharedBytes,
                  cudaStream_t stream, Arguments... args)
 {
-    enqueueLaunch(stream,
+    enqueueLaunch(reinterpret_cast<const void*>(kernel), stream,
                   [=](std::uint64_t seed) { launch(kernel, grid, block, sharedBytes, seed, args...); });
 }
 

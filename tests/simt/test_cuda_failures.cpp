@@ -16,6 +16,15 @@ namespace vdb_nns::testing {
 namespace {
 
 constexpr std::uint64_t kDeviceBytes = std::uint64_t(1) << 30;
+constexpr std::uint64_t kDriverBytes = std::uint64_t(64) << 20; // left to the driver
+
+// What the kernels take of a device.
+std::uint64_t kernelBytes()
+{
+    simt::resetMachine({kDeviceBytes}, 7);
+    cudaDevices();
+    return simt::loadedKernels() * simt::kKernelBytes;
+}
 
 const EstimatedGrid& problem()
 {
@@ -96,6 +105,31 @@ TEST(CudaFailures, MemoryIsKeptForTheNextRun)
     EXPECT_EQ(simt::liveAllocations(), 0u);
 }
 
+// A driver loads a kernel at its first launch, if nobody has asked for it before: while that is timed, and when the device may
+// be full of blocks.
+TEST(CudaKernels, AreLoadedBeforeFreeMemoryIsAskedForAndBeforeTheFirstLaunch)
+{
+    const std::uint64_t bytes = kernelBytes();
+    EXPECT_GT(bytes, 0u);
+    EXPECT_EQ(cudaDevices()[0].memoryBytes, kDeviceBytes - kDriverBytes - bytes);
+    const SceneGrid scene("block", 500);
+    const EstimatedGrid own(scene.grid);
+    const std::vector<DeviceLimits> devices = cudaDevices();
+    for (const bool isMachineNew : {false, true}) {
+        for (const Encoding encoding : {Encoding::kNone, Encoding::kMask, Encoding::kIndex}) {
+            if (isMachineNew) simt::resetMachine({kDeviceBytes}, 7); // nobody asks it for its memory
+            RunOptions run;
+            run.schedule.useCpu = false;
+            const Schedule schedule =
+                makeSchedule(own.grid, own.tree(encoding, ~0ull), devices, run.schedule);
+            ScheduleRun report;
+            SearchEngine().search(own.grid, schedule, devices, run, report);
+            EXPECT_EQ(report.devices[0].particles, own.grid.particleCount());
+            EXPECT_EQ(simt::loadedKernels() * simt::kKernelBytes, bytes);
+        }
+    }
+}
+
 // What is kept makes way for what is needed: a scene that grew from one block to several, a budget that changed on a device
 // that is nearly full.
 TEST(CudaFailures, WhatIsKeptIsNotInTheWay)
@@ -103,8 +137,7 @@ TEST(CudaFailures, WhatIsKeptIsNotInTheWay)
     const SceneGrid smaller("block", 5000);
     const EstimatedGrid small(smaller.grid);
     const EstimatedGrid& large = problem();
-    constexpr std::uint64_t kDriverBytes = std::uint64_t(64) << 20;
-    simt::resetMachine({kDriverBytes + large.need(Encoding::kMask)}, 7);
+    simt::resetMachine({kDriverBytes + kernelBytes() + large.need(Encoding::kMask)}, 7);
     std::vector<DeviceLimits> devices = cudaDevices();
     RunOptions run;
     run.schedule.useCpu = false;
@@ -145,8 +178,7 @@ TEST(CudaFailures, MemoryThatIsRefusedHalvesBlocks)
 
 TEST(CudaFailures, ADeviceWithLessFreeMemoryThanAskedForHalvesBlocks)
 {
-    // 64 MiB are left to the driver.
-    const std::uint64_t tight = (std::uint64_t(64) << 20) + problem().need(Encoding::kMask) / 3;
+    const std::uint64_t tight = kDriverBytes + problem().need(Encoding::kMask) / 3;
     const Outcome outcome = searchWith(DeviceFailure::kStop, 1, nullptr, 0, cudaSuccess, tight);
     EXPECT_GT(outcome.report.halvings, 0u);
     EXPECT_GT(outcome.report.devices[0].particles, 0u);

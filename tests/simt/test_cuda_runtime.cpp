@@ -230,6 +230,29 @@ void enqueueStoreAndFetch(const Fixture& f, unsigned value)
     CUDA_OK(cudaGetLastError());
 }
 
+TEST(CudaRuntime, AKernelIsLoadedWhenAskedForOrByItsFirstLaunch)
+{
+    const Fixture f(1);
+    const auto freeBytes = [] {
+        std::size_t free = 0, total = 0;
+        EXPECT_EQ(cudaMemGetInfo(&free, &total), cudaSuccess);
+        return free;
+    };
+    const std::size_t before = freeBytes();
+    cudaFuncAttributes attributes;
+    CUDA_OK(cudaFuncGetAttributes(&attributes, storeKernel));
+    EXPECT_EQ(before - freeBytes(), simt::kKernelBytes);
+    simt::launchAsync(storeKernel, 1, 1, 0, f.stream, f.device, 1u);
+    EXPECT_EQ(simt::loadedKernels(), 1u);
+    simt::launchAsync(addKernel, 1, 1, 0, f.stream, f.device, f.device);
+    CUDA_OK(cudaStreamSynchronize(f.stream));
+    EXPECT_EQ(simt::loadedKernels(), 2u);
+    EXPECT_EQ(before - freeBytes(), 2 * simt::kKernelBytes);
+    CUDA_OK(cudaSetDevice(1));
+    CUDA_OK(cudaFuncGetAttributes(&attributes, storeKernel));
+    EXPECT_EQ(simt::loadedKernels(), 3u) << "each device has its own";
+}
+
 TEST(CudaRuntime, AStreamRunsInOrderAndIsWaitedFor)
 {
     for (std::uint64_t seed = 0; seed < kSeedCount; ++seed) {

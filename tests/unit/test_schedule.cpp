@@ -82,13 +82,19 @@ void expectEachQueryOnce(const Schedule& schedule, const Problem& problem)
                 1e-9 * problem.estimate.total.expectedPairs);
 }
 
+// Of a block on a device: all of its memory where there is no other.
+std::uint64_t budgetOf(const Schedule& schedule, const DeviceLimits& device)
+{
+    return schedule.inCore && schedule.blocks.size() == 1 ? device.memoryBytes : blockBudget(device);
+}
+
 // Blocks of devices fit; what was cut finer than a leaf has a multiple of a warp of queries, and fits if 32 of them do.
 void expectBlocksFit(const Schedule& schedule, const Problem& problem,
                      const std::vector<DeviceLimits>& devices)
 {
     std::uint64_t least = ~0ull, most = 0, tooLarge = 0;
     for (const DeviceLimits& device : devices) {
-        const std::uint64_t budget = schedule.inCore ? device.memoryBytes : blockBudget(device);
+        const std::uint64_t budget = budgetOf(schedule, device);
         least = std::min(least, budget);
         most = std::max(most, budget);
     }
@@ -97,7 +103,7 @@ void expectBlocksFit(const Schedule& schedule, const Problem& problem,
         const std::uint64_t queries = block.endSlot - block.firstSlot;
         if (block.preferred != Block::kOnCpu) {
             const DeviceLimits& device = devices.at(static_cast<std::size_t>(block.preferred));
-            EXPECT_LE(block.bytes.total(), schedule.inCore ? device.memoryBytes : blockBudget(device));
+            EXPECT_LE(block.bytes.total(), budgetOf(schedule, device));
         }
         if (devices.empty()) continue;
         if (block.bytes.total() > least) {
@@ -200,8 +206,10 @@ void expectSound(const Schedule& schedule, const Problem& problem, const std::ve
     expectHalos(schedule, problem.grid);
     expectSumsOfPlans(schedule, problem, devices);
     expectTimes(schedule);
-    if (schedule.inCore) {
-        EXPECT_LE(schedule.blocks.size(), 1u);
+    if (!schedule.inCore) return;
+    EXPECT_LE(devices.size(), 1u);
+    if (!devices.empty() && schedule.boundary == BoundaryMode::kHalo) {
+        EXPECT_EQ(schedule.cpuParticles, 0u);
     }
 }
 
@@ -383,6 +391,49 @@ TEST(Schedule, WithoutADeviceEverythingIsOneBlockOfTheCpu)
         EXPECT_DOUBLE_EQ(schedule.predictedSeconds,
                          static_cast<double>(problem.estimate.total.candidateTests) / 4e9);
     });
+}
+
+// What fits is sent in blocks all the same where a device so has all three of its stages at work at once.
+TEST(Schedule, InCoreIsInAsManyBlocksAsEndSooner)
+{
+    const Problem problem("block", 100000); // 27 leaves
+    for (const Encoding encoding : kEncodings) {
+        std::vector<DeviceLimits> devices{deviceOf(1 << 30, 4)};
+        DeviceLimits& device = devices[0];
+        // A second for each stage.
+        const WorkloadTree one = problem.tree(encoding, ~0ull);
+        const BlockBytes bytes = blockBytes(one.nodes[0], one.options.model);
+        device.rates = {1e-6, static_cast<double>(problem.estimate.total.candidateTests),
+                        static_cast<double>(bytes.up), static_cast<double>(bytes.down)};
+        const auto scheduled = [&](bool oneBlock) {
+            ScheduleOptions options;
+            options.oneBlock = oneBlock;
+            const std::uint64_t nodes =
+                nodeBytesFor(problem.grid, problem.estimate, one.options.model, devices, options);
+            const Schedule schedule =
+                makeSchedule(problem.grid, problem.tree(encoding, nodes), devices, options);
+            expectEachQueryOnce(schedule, problem);
+            expectBlocksFit(schedule, problem, devices);
+            expectHalos(schedule, problem.grid);
+            expectSumsOfPlans(schedule, problem, devices);
+            EXPECT_TRUE(schedule.inCore);
+            EXPECT_EQ(schedule.cpuParticles, 0u);
+            return schedule;
+        };
+        EXPECT_EQ(scheduled(true).blocks.size(), 1u);
+        EXPECT_NEAR(scheduled(true).predictedSeconds, 3, 1e-5);
+        EXPECT_GE(scheduled(false).blocks.size(), 16u) << "four for each slot";
+        EXPECT_LT(scheduled(false).predictedSeconds, 2.5);
+        device.rates.latencySeconds = 0.1;
+        EXPECT_EQ(scheduled(false).blocks.size(), 1u) << "more would take longer";
+        device.rates.latencySeconds = 1;
+        EXPECT_EQ(nodeBytesFor(problem.grid, problem.estimate, one.options.model, devices),
+                  device.memoryBytes)
+            << "no tree needs to be divided to know that";
+        device.rates.latencySeconds = 1e-6;
+        device.slots = 1;
+        EXPECT_EQ(scheduled(false).blocks.size(), 1u) << "nothing could overlap";
+    }
 }
 
 TEST(Schedule, WithoutTheCpuOnlyTheBoundaryAndWhatFitsNowhereIsLeftToIt)

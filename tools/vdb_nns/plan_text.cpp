@@ -41,7 +41,7 @@ std::string blocksLine(const PlanReport& plan)
         most = std::max(most, block.work.particles);
     }
     const double mean = static_cast<double>(plan.total.particles) / static_cast<double>(blocks.size());
-    return countText(blocks.size()) + (plan.schedule.inCore ? " (all at once)" : "") +
+    return countText(blocks.size()) + (blocks.size() == 1 && plan.schedule.inCore ? " (all at once)" : "") +
            format(", edge up to %lld cells; particles min %llu  mean %.0f  max %llu",
                   static_cast<long long>(edge), static_cast<unsigned long long>(least), mean,
                   static_cast<unsigned long long>(most));

@@ -211,7 +211,10 @@ std::unique_ptr<Method> makeDeviceMethod(const MethodSpec& spec, const SearchOpt
     request.schedule.boundary = spec.boundary;
     request.schedule.blockLog2Cells = spec.blockLog2Cells;
     request.schedule.useCpu = spec.place == MethodPlace::kCpuAndDevice;
-    if (!spec.hasBudget()) request.devices.resize(1); // everything is one block
+    if (!spec.hasBudget()) {
+        request.devices.resize(1);
+        request.schedule.oneBlock = true;
+    }
     for (DeviceLimits& device : request.devices) {
         device.mapped = spec.place == MethodPlace::kMapped;
         if (spec.hasBudget() && devices.budgetBytes) device.memoryBytes = *devices.budgetBytes;
