@@ -1,6 +1,7 @@
 #include "thread_failure.h"
 
 #include "exit_codes.h"
+#include "vdb_nns/output.h"
 
 #include <cstdio>
 #include <cstdlib>
@@ -22,6 +23,7 @@ std::terminate_handler gDefaultHandler = nullptr;
     } catch (const std::exception& error) {
         if (isThreadFailure(error)) {
             std::fprintf(stderr, "vdb_nns: error: %s\n", threadAdvice(error).c_str());
+            removeTemporaryFiles();
             ::_exit(kNoRoom);
         }
     } catch (...) {
