@@ -37,7 +37,8 @@ struct PointFileInfo {
     std::optional<double> suggestedRadius; ///< world units, metadata `suggested_radius`
 };
 
-/// A point file in memory. Copies share it.
+/// A point file in memory. Copies share it. Safe to use from several threads and from inside of TBB tasks, writeVdb()
+/// included.
 class PointFile {
 public:
     /// Reads a point file; the format is told by the extension (.vdb .npy .ply .xyz, any case).
@@ -53,7 +54,8 @@ public:
     /// The positions. Keeps the file's memory alive.
     const ParticleView& view() const;
 
-    /// Describes the file. Cost: one pass over the positions for bbox and nonfinite, made at the first call.
+    /// Describes the file; valid for as long as a copy lives. Cost: one pass over the positions for bbox and nonfinite, made
+    /// at the first call, and by each thread that calls it meanwhile.
     const PointFileInfo& info() const;
 
     /// Writes the same .vdb file with result attributes added: other grids and the file's metadata are copied, name,
@@ -61,6 +63,7 @@ public:
     /// The file appears whole or not at all (temporary name beside the target, then rename).
     /// @param counts one value a point, written as int32 attribute `prefix + "count"`.
     /// @param overwrite whether an existing file, or an attribute of that name, may be replaced.
+    /// Memory: the attribute. Of several calls at once all but one read the grid from the file again, and hold it.
     /// @throws InvalidInput if this is not a .vdb file, counts has the wrong size, or the attribute exists
     /// @throws OutputExists, OutputError, Cancelled
     void writeVdb(const std::string& path, Span<const std::uint32_t> counts, const std::string& prefix,
