@@ -24,7 +24,7 @@ struct StoredPosition {
 /// grid or lists made from it, is used. Copies share the view. Safe to read from several threads.
 ///
 /// Particles are numbered 0 to size()-1: an array in its own order, a VDB point grid in the order of
-/// `tree().cbeginLeaf()` and inside a leaf in attribute order.
+/// `tree().cbeginLeaf()` and inside a leaf in attribute order. Numbers that are given are not checked.
 class ParticleView {
 public:
     /// An empty view.

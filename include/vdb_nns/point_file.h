@@ -50,7 +50,8 @@ struct PointFileOptions {
     Progress* progress = nullptr;
 };
 
-/// A point file in memory. Copies share it.
+/// A point file in memory. Copies share it. Safe to use from several threads and from inside of TBB tasks, writeVdb()
+/// included.
 class PointFile {
 public:
     /// Reads a point file; the format is told by the extension (.vdb .npy .ply .xyz, any case).
@@ -65,13 +66,15 @@ public:
     /// The positions. Keeps the file's memory alive.
     const ParticleView& view() const;
 
-    /// Describes the file. Cost: one pass over the positions for bbox and nonfinite, made at the first call.
+    /// Describes the file; valid for as long as a copy lives. Cost: one pass over the positions for bbox and nonfinite, made
+    /// at the first call, and by each thread that calls it meanwhile.
     const PointFileInfo& info() const;
 
     /// Writes the same .vdb file with result attributes added: other grids and the file's metadata are copied, name,
     /// transform, metadata, codecs and attributes stay untouched, P is not encoded again.
     /// @param counts one value a point, written as int32 attribute `prefix + "count"`.
     /// @param options `overwrite` goes for an attribute of that name too.
+    /// Memory: the attribute. Of several calls at once all but one read the grid from the file again, and hold it.
     /// @throws InvalidInput if this is not a .vdb file, counts has the wrong size, or the attribute exists
     /// @throws OutputExists, OutputError, Cancelled
     void writeVdb(const std::string& path, Span<const std::uint32_t> counts, const std::string& prefix,

@@ -18,7 +18,8 @@ struct RunOptions;
 struct ScheduleRun;
 
 /// Called once for every finite particle: its number, its neighbors and their world distances (ParticleView::distance),
-/// in cell-visiting order. Called from several threads at once; the spans are valid during the call.
+/// in cell-visiting order. Called from several threads at once; the spans are valid during the call. It may run parallel
+/// work of its own, and searches with other engines: until it returns, its thread is handed no other query.
 using NeighborVisitor = std::function<void(std::uint32_t query, Span<const std::uint32_t> neighbors,
                                            Span<const double> distances)>;
 
@@ -28,15 +29,18 @@ using RowVisitor = NeighborLists::RowVisitor;
 /// What the last run did: for reports.
 struct SearchStatistics {
     double gridSeconds = 0, searchSeconds = 0;
-    std::uint64_t candidateTests =
-        0;                         ///< pairs of a query and a particle of the cells in reach, self included
-    std::uint64_t doublePairs = 0; ///< ordered pairs that the float32 filter left to the double test
-    std::uint64_t exactPairs = 0;  ///< of those, pairs that the double test left to exact arithmetic
+    std::uint64_t doublePairs = 0;       ///< ordered pairs that the float32 filter left to the double test
+    std::uint64_t exactPairs = 0;        ///< of those, pairs that the double test left to exact arithmetic
     SimdLevel simd = SimdLevel::kScalar; ///< instruction set that ran
 };
 
 /// Finds neighbors, frame after frame. Keeps its memory between runs, and reuses it once the results of an earlier run
-/// are gone. One thread at a time may call it; inside it uses the TBB arena that the caller is in.
+/// are gone. One thread at a time may call it, and none while it runs, a visitor of its own included; inside it uses the
+/// TBB arena that the caller is in.
+///
+/// What may be nested: every function of the library may be called from inside of TBB tasks, for a thread that waits in it
+/// takes no task of its caller's. So an engine for each thread, tbb::enumerable_thread_specific<SearchEngine>, is fine for
+/// frames in a parallel loop. Visitors and a Progress may run parallel work, and it is kept apart from the engine's.
 ///
 /// Membership (all functions here): i and j are neighbors iff i != j and their distance is <= radius in real
 /// arithmetic; no rounding decides. Self is excluded by number: particles at the same place are neighbors.
@@ -73,6 +77,7 @@ public:
                          ScheduleRun& report);
 
     /// Hands every query its neighbors without storing lists.
+    /// @param options `encoding` has no meaning here; `hostMemoryBytes` is not read.
     /// @throws InvalidInput, Cancelled, and what `visitor` throws
     void visit(const SparseGrid& grid, const NeighborVisitor& visitor, const SearchOptions& options = {});
 

@@ -43,9 +43,10 @@ public:
     std::uint64_t cellCount() const; ///< occupied cells
     std::uint64_t bytes() const;     ///< memory held, tree included
 
+    /// @param index below leafCount(); not checked.
     Leaf leaf(std::uint64_t index) const;
 
-    /// Particle numbers by slot.
+    /// Particle numbers by slot. Valid for as long as a handle of this grid lives.
     Span<const std::uint32_t> particleNumbers() const;
 
     const ParticleView& view() const;

@@ -155,8 +155,9 @@ OverlapTable OverlapTable::byQuadrature(double radiusCells, int reach)
 }
 
 OverlapTable OverlapTable::byMonteCarlo(double radiusCells, int reach, std::uint64_t samples,
-                                        std::uint64_t seed)
+                                        std::uint64_t seed, const CancelCheck& cancel)
 {
+    constexpr std::uint64_t kSamplesBetweenChecks = std::uint64_t(1) << 16;
     OverlapTable table(reach);
     forEachClass(reach, [&](int a, int b, int c) {
         const int place = classIndex(a, b, c);
@@ -166,6 +167,7 @@ OverlapTable OverlapTable::byMonteCarlo(double radiusCells, int reach, std::uint
         };
         std::uint64_t within = 0;
         for (std::uint64_t k = 0; k < samples; ++k) {
+            if (k % kSamplesBetweenChecks == 0) cancel.check();
             const double u = difference(a, 6 * k), v = difference(b, 6 * k + 2), w = difference(c, 6 * k + 4);
             within += u * u + v * v + w * w <= radiusCells * radiusCells;
         }

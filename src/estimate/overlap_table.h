@@ -7,6 +7,8 @@
 // offsets the shares sum to (4/3) pi rho^3.
 #pragma once
 
+#include "util/cancel.h"
+
 #include <array>
 #include <cstdint>
 
@@ -21,9 +23,9 @@ public:
     static OverlapTable byQuadrature(double radiusCells, int reach);
 
     // By that many random pairs of points (at least 1) for each class of offsets, as the paper does with 1e6.
-    // Deterministic for a seed. Takes the same radii as byQuadrature().
-    static OverlapTable byMonteCarlo(double radiusCells, int reach, std::uint64_t samples,
-                                     std::uint64_t seed);
+    // Deterministic for a seed. Takes the same radii as byQuadrature(). Throws Cancelled.
+    static OverlapTable byMonteCarlo(double radiusCells, int reach, std::uint64_t samples, std::uint64_t seed,
+                                     const CancelCheck& cancel);
 
     int reach() const { return mReach; }
 

@@ -20,6 +20,7 @@
 #include "lists/cell_candidates.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
+#include "util/known_value.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/search.h"
 
@@ -58,6 +59,7 @@ double now()
 
 void checkOptions(const EstimateOptions& options)
 {
+    requireKnown(options.estimator, Estimator::kProbed, "estimator");
     if (!(options.sampleFraction > 0 && options.sampleFraction <= 1)) {
         throw InvalidInput("a sample of " + std::to_string(options.sampleFraction) +
                            " of the queries is not possible: use a share above 0, at most 1");
@@ -290,11 +292,11 @@ void correctParts(const SparseGridData& grid, const std::vector<std::size_t>& pa
     estimate.margin = all.counted > 0 ? std::sqrt(variance / all.counted) : 1;
 }
 
-OverlapTable overlapOf(const SparseGridData& grid, const EstimateOptions& options)
+OverlapTable overlapOf(const SparseGridData& grid, const EstimateOptions& options, const CancelCheck& cancel)
 {
     return options.estimator == Estimator::kMonteCarlo
                ? OverlapTable::byMonteCarlo(grid.radiusCells, grid.reach, options.monteCarloSamples,
-                                            options.seed)
+                                            options.seed, cancel)
                : OverlapTable::byQuadrature(grid.radiusCells, grid.reach);
 }
 
@@ -336,7 +338,7 @@ WorkEstimate estimateLeaves(const SparseGrid& sparseGrid, const EstimateOptions&
 
     const std::vector<std::size_t> parts = partsOf(grid);
     std::vector<Sample> samples = drawSamples(grid, parts, options);
-    const Model model(grid, overlapOf(grid, options));
+    const Model model(grid, overlapOf(grid, options, cancel));
     const std::uint32_t groupSize = options.estimator == Estimator::kExpected ? kGroupSize : 1;
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, estimate.leaves.size(), 64), [&](const auto& range) {
         cancel.check();
@@ -383,7 +385,7 @@ std::vector<float> expectNeighbors(const SparseGrid& sparseGrid, const EstimateO
     std::vector<float> neighborsOf(sparseGrid.view().size(), 0.0f);
     if (grid.particleCount() == 0) return neighborsOf;
 
-    const Model model(grid, overlapOf(grid, options));
+    const Model model(grid, overlapOf(grid, options, cancel));
     const Span<const std::uint32_t> numbers = sparseGrid.particleNumbers();
     const auto leaves = tbb::blocked_range<std::size_t>(0, grid.leafCount(), 64);
     isolated([&] {

@@ -32,7 +32,7 @@ std::vector<UndecidedPair> Collector::decide(const BlockPart& part, const Result
         reinterpret_cast<const UndecidedPair*>(result + layout.undecided(head.rowBytes));
     auto* const counts = reinterpret_cast<std::uint32_t*>(result + layout.counts);
     auto* const rows = reinterpret_cast<std::uint32_t*>(result + layout.rows);
-    state.exact = &mExact;
+    state.judgeBy(mExact, mCancel);
     state.statistics.bandPairs += head.undecided;
     const BandJudge judge = state.judge();
     std::vector<UndecidedPair> refused;
@@ -77,6 +77,7 @@ Collector::Collected Collector::collect(const BlockPart& part, const ResultLayou
         const CellSet* const partial =
             without != part.without.end() && without->leaf == l ? &*without++ : nullptr;
         if (begin >= end) continue;
+        mCancel.check();
         // Rows of a leaf stay together; cells that are not wanted have counts of 0.
         std::uint64_t entries = 0;
         if (isMask) {

@@ -30,9 +30,9 @@ private:
 
 class Collector {
 public:
-    Collector(const SparseGridData& grid, const ExactTest& exact, Encoding encoding, NeighborListsData& lists,
-              ChunkPool& pool)
-        : mGrid(grid), mExact(exact), mEncoding(encoding), mLists(lists), mRows(pool)
+    Collector(const SparseGridData& grid, const ExactTest& exact, const CancelCheck& cancel,
+              Encoding encoding, NeighborListsData& lists, ChunkPool& pool)
+        : mGrid(grid), mExact(exact), mCancel(cancel), mEncoding(encoding), mLists(lists), mRows(pool)
     {
     }
 
@@ -41,7 +41,7 @@ public:
     };
 
     // The result of a part, with the image's layout; what is undecided is decided there. Different parts at once are fine.
-    // Throws ChunkPool::Exhausted.
+    // Throws ChunkPool::Exhausted, Cancelled.
     Collected collect(const BlockPart& part, const ResultLayout& layout, std::byte* result,
                       ThreadState& state);
 
@@ -52,6 +52,7 @@ private:
 
     const SparseGridData& mGrid;
     const ExactTest& mExact;
+    const CancelCheck& mCancel;
     const Encoding mEncoding;
     NeighborListsData& mLists;
     RowStore mRows;

@@ -2,6 +2,7 @@
 #include "execute/count_queries.h"
 
 #include "execute/exact_test.h"
+#include "execute/grid_tasks.h"
 #include "execute/kernels.h"
 #include "execute/search_task.h"
 #include "execute/thread_state.h"
@@ -39,9 +40,11 @@ void markCell(const SparseGridData& grid, std::uint32_t leaf, std::uint32_t slot
 // What the tasks of a count share.
 class Counter {
 public:
-    explicit Counter(const SparseGridData& grid)
+    Counter(const SparseGridData& grid, const CancelCheck& cancel)
         : mGrid(grid),
-          mContext{blockViewOf(grid), makeFilterBounds(grid.radiusCells, grid.reach, grid.coordinateError)},
+          mCancel(cancel),
+          mContext{blockViewOf(grid), makeFilterBounds(grid.radiusCells, grid.reach, grid.coordinateError),
+                   pollOf(cancel)},
           mExact(grid.view, grid.radius),
           mCount(kernelsFor(SimdLevel::kBest).count)
     {
@@ -49,8 +52,9 @@ public:
 
     void count(const QueryRange& range, std::uint32_t* counts)
     {
+        mCancel.check();
         ThreadState& state = mStates.local();
-        state.exact = &mExact;
+        state.judgeBy(mExact, mCancel);
         std::uint64_t cells[8];
         markCell(mGrid, range.leaf, range.firstSlot, cells);
         LeafNeighborhood neighborhood;
@@ -69,6 +73,7 @@ public:
 
 private:
     const SparseGridData& mGrid;
+    const CancelCheck& mCancel;
     SearchContext mContext;
     ExactTest mExact;
     SearchTaskFunction mCount;
@@ -83,9 +88,8 @@ std::vector<std::uint32_t> countQueries(const SparseGridData& grid, const std::v
     std::vector<std::size_t> begin(1, 0);
     for (const QueryRange& range : ranges) begin.push_back(begin.back() + range.endSlot - range.firstSlot);
     std::vector<std::uint32_t> counts(begin.back());
-    Counter counter(grid);
+    Counter counter(grid, cancel);
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, ranges.size(), 64), [&](const auto& part) {
-        cancel.check();
         for (std::size_t r = part.begin(); r < part.end(); ++r)
             counter.count(ranges[r], counts.data() + begin[r]);
     });

@@ -30,13 +30,20 @@ void DeviceExecutor::openSlots(const SlotNeed& need)
         if (asked.bytes < kLeastBytes) throw OutOfDeviceMemory("it refused memory for even a small block");
     }
     mSlotBytes = asked.bytes;
-    if (mDevice->isSimulated()) return;
+    if (!mDevice->isSimulated()) startThreads();
+}
+
+// One a slot. Slots that get none are done without.
+void DeviceExecutor::startThreads()
+{
     try {
-        for (std::size_t s = 0; s < mSlots.size(); ++s) mThreads.push_back(mCrew.jobs.addThread());
+        while (mThreads.size() < mSlots.size()) mThreads.push_back(mCrew.jobs.addThread());
     } catch (const std::system_error& error) {
-        mSlots.clear();
+        mSlots.resize(mThreads.size());
+        if (!mSlots.empty()) return;
         mDevice->releaseAll();
-        throw DeviceError(std::string("no thread could be started for its slots: ") + error.what());
+        throw DeviceError(std::string("no thread could be started for its slots: ") + error.what() +
+                          "; allow more threads (ulimit -u) or memory");
     }
 }
 

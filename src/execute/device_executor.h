@@ -76,7 +76,7 @@ public:
     DeviceExecutor& operator=(const DeviceExecutor&) = delete;
 
     // Memory, and threads where it needs some, for the slots: as large as that, or half of it, and half of that, where the
-    // device refuses. Throws OutOfDeviceMemory when it refuses a small block, and DeviceError; it has no slots then.
+    // device refuses; fewer slots where threads are. Throws OutOfDeviceMemory when it refuses a small block, and DeviceError; it has no slots then.
     void openSlots(const SlotNeed& need);
     std::size_t slotCount() const { return mSlots.size(); }
     std::uint64_t slotBytes() const { return mSlotBytes; }
@@ -102,6 +102,7 @@ public:
 
 private:
     bool tryOpenSlots(const SlotNeed& need);
+    void startThreads();
     void requireRoom(const RunBlock& block) const;
     void fly(Flight& flight) const;
 

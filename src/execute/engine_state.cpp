@@ -2,6 +2,7 @@
 #include "execute/engine_state.h"
 
 #include "lists/cell_candidates.h"
+#include "util/known_value.h"
 #include "util/sole_owner.h"
 #include "vdb_nns/error.h"
 
@@ -29,6 +30,9 @@ std::string gigabytes(std::uint64_t bytes)
 
 void checkOptions(const SearchOptions& options)
 {
+    requireKnown(options.encoding, Encoding::kNone, "encoding");
+    requireKnown(options.nonfinite, NonFinite::kFail, "treatment of non-finite particles");
+    requireKnown(options.simd, SimdLevel::kBest, "instruction set");
     const double size = options.cellSize;
     if (size != 0 && !(size >= SearchOptions::kSmallestCell && size <= SearchOptions::kLargestCell)) {
         throw InvalidInput("cells of " + std::to_string(size) +
@@ -53,7 +57,7 @@ CapacityError listsDoNotFit(Encoding encoding, bool counted, std::uint64_t neede
 
 SearchRun::SearchRun(const SparseGridData& g, const SearchOptions& options)
     : grid(g),
-      context{blockViewOf(g), makeFilterBounds(g.radiusCells, g.reach, g.coordinateError)},
+      context{blockViewOf(g), makeFilterBounds(g.radiusCells, g.reach, g.coordinateError), pollOf(cancel)},
       exact(g.view, g.radius),
       kernels(kernelsFor(options.simd)),
       cancel(options.progress, "search"),
@@ -90,7 +94,7 @@ TaskStatistics EngineState::sumStatistics()
 void EngineState::runTask(const SearchRun& run, SearchTaskFunction kernel, ThreadState& state,
                           const SearchTask& task)
 {
-    state.exact = &run.exact;
+    state.judgeBy(run.exact, run.cancel);
     kernel(run.context, task, state.judge(), state.halo, state.sink, state.statistics);
 }
 
@@ -217,6 +221,7 @@ void EngineState::finishLists(const SearchRun& run, ChunkPool& pool, NeighborLis
     ListStatistics statistics = tbb::parallel_reduce(
         range, start,
         [&](const auto& r, ListStatistics s) {
+            run.cancel.check();
             for (std::size_t slot = r.begin(); slot < r.end(); ++slot) {
                 const std::uint32_t count = result.rowCount[slot];
                 s.min = std::min(s.min, count);

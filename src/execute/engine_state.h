@@ -31,6 +31,8 @@ struct SearchRun {
     std::vector<Piece> pieces;
 
     SearchRun(const SparseGridData& grid, const SearchOptions& options);
+    SearchRun(const SearchRun&) = delete; // the context points into it
+    SearchRun& operator=(const SearchRun&) = delete;
 
     // The kernel that makes rows of an encoding.
     SearchTaskFunction rowKernel(Encoding encoding) const;

@@ -17,6 +17,12 @@
 
 namespace vdb_nns {
 
+// `cancel` outlives it.
+inline CancelPoll pollOf(const CancelCheck& cancel)
+{
+    return {&cancel, [](const void* state) { static_cast<const CancelCheck*>(state)->check(); }};
+}
+
 // Queries of one leaf.
 struct Piece {
     std::uint32_t leaf, firstSlot, endSlot;

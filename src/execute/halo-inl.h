@@ -18,7 +18,8 @@ inline void copyRun(const BlockView& block, char* to, std::size_t stride, std::u
                     std::uint32_t end, const float shift[3])
 {
     const Simd::F sx = Simd::set(shift[0]), sy = Simd::set(shift[1]), sz = Simd::set(shift[2]);
-    for (std::uint32_t i = begin; i < end; i += Simd::kLanes, to += Simd::kLanes * sizeof(float)) {
+    // 64 bits: the last slots are so near 2^32 that a vector's step would wrap.
+    for (std::size_t i = begin; i < end; i += Simd::kLanes, to += Simd::kLanes * sizeof(float)) {
         Simd::store(floats(to), Simd::add(Simd::load(block.x + i), sx));
         Simd::store(floats(to + stride), Simd::add(Simd::load(block.y + i), sy));
         Simd::store(floats(to + 2 * stride), Simd::add(Simd::load(block.z + i), sz));

@@ -70,7 +70,6 @@ std::unique_ptr<BlockDevice> takeOpened(std::vector<OpenedDevice>& devices, cons
         if (!opened.device || own.kind != wanted.kind || own.ordinal != wanted.ordinal ||
             own.memoryBytes != wanted.memoryBytes || own.slots != wanted.slots || own.mapped != wanted.mapped)
             continue;
-        opened.device->restart();
         return std::move(opened.device);
     }
     return nullptr;
@@ -85,7 +84,7 @@ public:
           mSchedule(schedule),
           mOptions(options),
           mReport(report),
-          mCollector(run.grid, run.exact, schedule.model.encoding, lists, pool),
+          mCollector(run.grid, run.exact, run.cancel, schedule.model.encoding, lists, pool),
           mTally(run.cancel, run.grid.particleCount(), schedule.blocks.size()),
           mCpu(run, {engine, lists, pool, mTally}, mJobs)
     {
@@ -159,8 +158,13 @@ void ScheduleRunner::openDevices(const std::vector<DeviceLimits>& devices, const
         DeviceRun& report = mReport.devices[mLimits.size()];
         std::unique_ptr<BlockDevice>& known = opened[mLimits.size()];
         try {
-            if (!known) known = makeDevice(limits, mRun, mEngine.states);
+            if (known) {
+                known->restart();
+            } else {
+                known = makeDevice(limits, mRun, mEngine.states);
+            }
         } catch (const DeviceError& error) {
+            known.reset(); // the next run opens it anew
             if (mOptions.onFailure == DeviceFailure::kStop) throw;
             report.failure = error.what();
         }

@@ -4,6 +4,7 @@
 #include "execute/engine_state.h"
 #include "execute/run_schedule.h"
 #include "util/isolate.h"
+#include "util/known_value.h"
 #include "util/sole_owner.h"
 #include "util/wall_clock.h"
 #include "vdb_nns/error.h"
@@ -78,6 +79,9 @@ NeighborLists SearchEngine::search(const SparseGrid& grid, const Schedule& sched
                                    ScheduleRun& report)
 {
     checkOptions(options.search);
+    requireKnown(options.onFailure, DeviceFailure::kUseCpu, "treatment of failed devices");
+    requireKnown(options.schedule.boundary, BoundaryMode::kAuto, "boundary mode");
+    requireKnown(schedule.model.encoding, Encoding::kNone, "encoding of the schedule");
     return isolated([&] {
         const double start = wallSeconds();
         const NeighborLists lists = runSchedule(*mImpl, grid, schedule, devices, options, report);
@@ -91,21 +95,28 @@ namespace {
 // Adds the distances of a row.
 class DistanceTaker final : public RowTaker {
 public:
-    DistanceTaker(const SparseGridData& grid, const NeighborVisitor& visitor, std::vector<double>& distances)
-        : mGrid(grid), mVisitor(visitor), mDistances(distances)
+    DistanceTaker(const SearchRun& run, const NeighborVisitor& visitor, std::vector<double>& distances)
+        : mGrid(run.grid), mCancel(run.cancel), mVisitor(visitor), mDistances(distances)
     {
     }
 
     void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) override
     {
         const std::uint32_t query = mGrid.number[slot];
+        if (count >= kDistancesBetweenChecks) mCancel.check();
         mDistances.resize(std::max<std::size_t>(mDistances.size(), count));
-        for (std::uint32_t k = 0; k < count; ++k) mDistances[k] = mGrid.view.distance(query, neighbors[k]);
+        for (std::uint32_t k = 0; k < count; ++k) {
+            if ((k + 1) % kDistancesBetweenChecks == 0) mCancel.check();
+            mDistances[k] = mGrid.view.distance(query, neighbors[k]);
+        }
         mVisitor(query, {neighbors, count}, {mDistances.data(), count});
     }
 
 private:
+    static constexpr std::uint32_t kDistancesBetweenChecks = 1u << 18;
+
     const SparseGridData& mGrid;
+    const CancelCheck& mCancel;
     const NeighborVisitor& mVisitor;
     std::vector<double>& mDistances;
 };
@@ -124,7 +135,7 @@ private:
     const RowVisitor& mVisitor;
 };
 
-// Runs all tasks; makeTaker(state) is what takes the rows of a task.
+// Runs all tasks; makeTaker(run, state) is what takes the rows of a task.
 template <typename MakeTaker>
 void visitTasks(EngineState& engine, const SparseGrid& grid, const SearchOptions& options,
                 MakeTaker&& makeTaker)
@@ -136,9 +147,9 @@ void visitTasks(EngineState& engine, const SparseGrid& grid, const SearchOptions
         engine.beginStatistics(options);
         forEachTask(run.grid, run.pieces, engine.states, run.cancel,
                     [&](ThreadState& state, const SearchTask& task) {
-                        auto taker = makeTaker(state);
+                        auto taker = makeTaker(run, state);
                         state.beginTaking(taker, task);
-                        state.exact = &run.exact;
+                        state.judgeBy(run.exact, run.cancel);
                         // Once a task, for the kernel calls the visitor too.
                         isolated([&] {
                             run.kernels.visit(run.context, task, state.judge(), state.halo, state.taken,
@@ -155,13 +166,15 @@ void visitTasks(EngineState& engine, const SparseGrid& grid, const SearchOptions
 
 void SearchEngine::visit(const SparseGrid& grid, const NeighborVisitor& visitor, const SearchOptions& options)
 {
-    visitTasks(*mImpl, grid, options,
-               [&](ThreadState& state) { return DistanceTaker(grid.data(), visitor, state.distances); });
+    visitTasks(*mImpl, grid, options, [&](const SearchRun& run, ThreadState& state) {
+        return DistanceTaker(run, visitor, state.distances);
+    });
 }
 
 void SearchEngine::visitRows(const SparseGrid& grid, const RowVisitor& visitor, const SearchOptions& options)
 {
-    visitTasks(*mImpl, grid, options, [&](ThreadState&) { return NumberTaker(grid.data(), visitor); });
+    visitTasks(*mImpl, grid, options,
+               [&](const SearchRun& run, ThreadState&) { return NumberTaker(run.grid, visitor); });
 }
 
 std::uint64_t countCandidateTests(const SparseGrid& grid)

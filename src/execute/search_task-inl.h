@@ -80,8 +80,8 @@ __attribute__((noinline)) void testBand(const FilterBounds& bounds, Frame frame,
     const char* const own = frame.base + std::size_t(self) * sizeof(float);
     const typename Frame::Query query(bounds, own, frame.stride);
     const std::uint32_t number = *integers(own + Frame::kNumber * frame.stride);
-    for (std::uint32_t j = 0; j < frame.count; j += Simd::kLanes) {
-        const char* const p = frame.base + std::size_t(j) * sizeof(float);
+    for (std::size_t j = 0; j < frame.count; j += Simd::kLanes) {
+        const char* const p = frame.base + j * sizeof(float);
         const Simd::F score = query.score(typename Frame::Candidates(p, frame.stride));
         Simd::Mask hits = Simd::movesign(score);
         if (j == self - self % Simd::kLanes) hits &= ~(Simd::Mask(1) << self % Simd::kLanes);
@@ -103,6 +103,56 @@ __attribute__((noinline)) void testBand(const FilterBounds& bounds, Frame frame,
 // Queries that stand together: the first one's candidate, how many, and their slots.
 struct Queries {
     std::uint32_t self, count, slot;
+};
+
+// Asks whether to go on, at the latest after so many tests, some milliseconds of them. The queries of a crowded cell are
+// searched in parts for that, of an even number: pairs stay together.
+struct Pace {
+    static constexpr std::uint64_t kTestsBetweenPolls = std::uint64_t(1) << 23;
+    static constexpr std::uint64_t kTestsOfCopy =
+        8; // a particle's copy takes as long as so many, in memory never used
+
+    explicit Pace(const SearchContext& context) : cancel(context.cancel) {}
+
+    void copied(std::uint64_t particles)
+    {
+        tests += kTestsOfCopy * particles;
+        if (tests < kTestsBetweenPolls) return;
+        tests = 0;
+        cancel.check(cancel.state);
+    }
+
+    // Calls search(queries) for all of them, which are tested against `tested` of the cell's candidates, just gathered.
+    // From one place, so that the compiler makes it part of the caller.
+    template <typename Search>
+    void run(Queries queries, std::uint32_t candidates, std::uint32_t tested, Search&& search)
+    {
+        std::uint32_t left = queries.count;
+        tests += std::uint64_t(left) * tested + kTestsOfCopy * candidates;
+        if (tests >= kTestsBetweenPolls) queries.count = beginParts(left, tested);
+        for (;;) {
+            search(queries);
+            left -= queries.count;
+            if (left == 0) return;
+            cancel.check(cancel.state);
+            queries = {queries.self + queries.count, left < queries.count ? left : queries.count,
+                       queries.slot + queries.count};
+        }
+    }
+
+private:
+    // Returns how many queries at once.
+    __attribute__((noinline)) std::uint32_t beginParts(std::uint32_t queries, std::uint32_t tested)
+    {
+        tests = 0;
+        cancel.check(cancel.state);
+        const std::uint64_t pairs = kTestsBetweenPolls / 2 / (tested + std::uint64_t(1));
+        const std::uint64_t most = pairs > 0 ? 2 * pairs : 2;
+        return queries < most ? queries : static_cast<std::uint32_t>(most);
+    }
+
+    CancelPoll cancel;
+    std::uint64_t tests = 0;
 };
 
 template <typename Target>
@@ -141,7 +191,7 @@ struct IndexRows {
             } else {
                 countA = static_cast<std::uint32_t>(outA - begin);
                 countB = static_cast<std::uint32_t>(outB - second);
-                for (std::uint32_t k = 0; k < countB; k += Simd::kLanes) {
+                for (std::size_t k = 0; k < countB; k += Simd::kLanes) {
                     Simd::store(outA + k, Simd::load(second + k));
                 }
             }
@@ -353,10 +403,11 @@ struct MaskRows {
         return words;
     }
 
-    // `candidates` are those of the cells in reach.
+    // `candidates` are those of the cells in reach. Not inlined: in a loop around it, it would lack registers.
     template <typename Frame>
-    void search(const Frame& frame, const Queries& queries, std::uint32_t candidates, const BandJudge& judge,
-                TaskStatistics& statistics)
+    __attribute__((noinline)) void search(const Frame& frame, const Queries& queries,
+                                          std::uint32_t candidates, const BandJudge& judge,
+                                          TaskStatistics& statistics)
     {
         const FilterBounds bounds = context.bounds;
         const std::uint32_t rowWords = (candidates + 31) / 32;
@@ -477,6 +528,7 @@ template <typename Rows>
 void searchCells(const SearchContext& context, const SearchTask& task, const LeafCells* leaves,
                  const BandJudge& judge, HaloScratch& scratch, RowSink& sink, TaskStatistics& statistics)
 {
+    Pace pace(context);
     const std::uint32_t* cellStart = context.block.cellStart + context.block.leaves[task.leaf].firstCell;
     for (int x = 0; x < 8; ++x) {
         for (std::uint64_t word = leaves[13].word[x]; word; word &= word - 1, ++cellStart) {
@@ -494,10 +546,13 @@ void searchCells(const SearchContext& context, const SearchTask& task, const Lea
                 for (std::uint32_t w = 0; w < candidates / 64; ++w) keep[w] = ~std::uint64_t(0);
                 keep[candidates / 64] = (std::uint64_t(1) << candidates % 64) - 1;
                 Rows rows(context, scratch, sink, std::size_t(queries.count) * ((candidates + 31) / 32));
-                rows.search(frame, queries, candidates, judge, statistics);
+                pace.run(queries, candidates, candidates, [&](const Queries& part) {
+                    rows.search(frame, part, candidates, judge, statistics);
+                });
             } else {
                 Rows rows(context, task, scratch, sink);
-                rows.search(frame, queries, judge, statistics);
+                pace.run(queries, candidates, candidates,
+                         [&](const Queries& part) { rows.search(frame, part, judge, statistics); });
                 rows.finish();
             }
         }
@@ -509,23 +564,28 @@ void searchTask(const SearchContext& context, const SearchTask& task, const Band
                 HaloScratch& scratch, RowSink& sink, TaskStatistics& statistics)
 {
     LeafCells leaves[27];
-    scratch.reserve(scratch, readLeaves(context.block, task.neighborhood, leaves));
+    const std::size_t particles = readLeaves(context.block, task.neighborhood, leaves);
+    scratch.reserve(scratch, particles);
     if (task.cells) return searchCells<Rows>(context, task, leaves, judge, scratch, sink, statistics);
     if constexpr (!Rows::kMasks) {
         if (searchSparse<Rows>(context, task, leaves, judge, scratch, sink, statistics)) return;
     }
     fillHalo(context.block, leaves, scratch);
+    Pace pace(context);
+    pace.copied(particles);
     Rows rows(context, task, scratch, sink);
     forEachCell(context.block, task, scratch,
                 [&](const std::uint32_t* lowest, CellSearch& cell, std::uint32_t firstSlot) {
                     gather<Rows::kMasks>(context, scratch, lowest, cell);
                     const KeptFrame frame{scratch.kept(), scratch.stride, cell.kept};
                     const Queries queries{cell.self, cell.queries, firstSlot};
-                    if constexpr (Rows::kMasks) {
-                        rows.search(frame, queries, cell.candidates, judge, statistics);
-                    } else {
-                        rows.search(frame, queries, judge, statistics);
-                    }
+                    pace.run(queries, cell.candidates, cell.kept, [&](const Queries& part) {
+                        if constexpr (Rows::kMasks) {
+                            rows.search(frame, part, cell.candidates, judge, statistics);
+                        } else {
+                            rows.search(frame, part, judge, statistics);
+                        }
+                    });
                 });
     rows.finish();
 }

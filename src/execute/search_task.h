@@ -10,9 +10,16 @@
 
 namespace vdb_nns {
 
+// Asks whether the search goes on; throws where it does not.
+struct CancelPoll {
+    const void* state;
+    void (*check)(const void* state);
+};
+
 struct SearchContext {
     BlockView block;
     FilterBounds bounds;
+    CancelPoll cancel;
 };
 
 struct SearchTask {

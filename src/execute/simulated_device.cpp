@@ -19,7 +19,7 @@ public:
           mState(state),
           mLayout(resultLayout(block.image.leaves, block.image.endQuery - block.image.firstQuery,
                                block.encoding)),
-          mContext{block.image.block, block.bounds},
+          mContext{block.image.block, block.bounds, pollOf(run.cancel)},
           mCounts(at(mLayout.counts)),
           mRows(at(mLayout.rows)),
           mRoom(
@@ -31,7 +31,7 @@ public:
 
     void search()
     {
-        mState.exact = &mRun.exact;
+        mState.judgeBy(mRun.exact, mRun.cancel);
         // A block that is redone counts once: its statistics travel with its result.
         const std::uint64_t exactBefore = mState.exactPairs;
         try {
@@ -179,9 +179,19 @@ std::byte* SimulatedDevice::allocateStaging(std::uint64_t bytes)
     return mStaging.back().get();
 }
 
+// In pieces, so that a run that is cancelled ends soon.
+void SimulatedDevice::copy(std::byte* to, const std::byte* from, std::uint64_t bytes) const
+{
+    constexpr std::uint64_t kPiece = std::uint64_t(64) << 20;
+    for (std::uint64_t at = 0; at < bytes; at += kPiece) {
+        mRun.cancel.check();
+        std::memcpy(to + at, from + at, std::min(kPiece, bytes - at));
+    }
+}
+
 void SimulatedDevice::upload(int, std::byte* device, const std::byte* staging, std::uint64_t bytes)
 {
-    std::memcpy(device, staging, bytes);
+    copy(device, staging, bytes);
 }
 
 void SimulatedDevice::search(int, const BlockSearch& block)
@@ -191,7 +201,7 @@ void SimulatedDevice::search(int, const BlockSearch& block)
 
 std::byte* SimulatedDevice::download(int, std::byte* staging, std::byte* device, std::uint64_t bytes)
 {
-    std::memcpy(staging, device, bytes);
+    copy(staging, device, bytes);
     return staging;
 }
 

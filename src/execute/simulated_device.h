@@ -31,6 +31,7 @@ private:
     // Of exactly the size that was asked for, so that a sanitizer sees the first byte past it.
     using Memory = std::unique_ptr<std::byte[]>;
     Memory hostMemory(std::uint64_t bytes) const;
+    void copy(std::byte* to, const std::byte* from, std::uint64_t bytes) const;
 
     std::string mName;
     std::uint64_t mBudgetBytes, mUsedBytes = 0, mPeakBytes = 0;

@@ -72,8 +72,16 @@ void ThreadState::begin()
 
 bool ThreadState::judgePair(void* state, std::uint32_t query, std::uint32_t candidate)
 {
+    constexpr std::uint32_t kPairsBetweenChecks = 1u << 14; // some milliseconds
     auto& self = *static_cast<ThreadState*>(state);
-    return self.exact->isNeighbor(query, candidate, self.mExactMemory, self.exactPairs);
+    if (++self.mJudged % kPairsBetweenChecks == 0) self.mCancel->check();
+    return self.mExact->isNeighbor(query, candidate, self.mExactMemory, self.exactPairs);
+}
+
+void ThreadState::judgeBy(const ExactTest& exact, const CancelCheck& cancel)
+{
+    mExact = &exact;
+    mCancel = &cancel;
 }
 
 void ThreadState::finishRows()

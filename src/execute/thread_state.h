@@ -5,6 +5,7 @@
 #include "execute/search_task.h"
 #include "grid/sparse_grid_data.h"
 #include "lists/neighbor_lists_data.h"
+#include "util/cancel.h"
 #include "util/memory.h"
 #include "vdb_nns/search.h"
 
@@ -55,6 +56,8 @@ struct ThreadState {
     void begin();
     // Puts the entries that streamed rows still hold back where they belong.
     void finishRows();
+    // What judge() asks from now on.
+    void judgeBy(const ExactTest& exact, const CancelCheck& cancel);
     BandJudge judge();
 
     // Rows of the coming task, by Kernels::visit, go to `taker` instead of into lists. Queries outside of the task's cells
@@ -70,7 +73,6 @@ struct ThreadState {
     std::uint64_t maskBytes = 0;
     std::vector<LeafNeighborhood> neighborhoods;
     std::vector<MaskRun> maskRuns;
-    const ExactTest* exact = nullptr;
     ChunkPool* pool = nullptr;
     std::vector<double> distances;
 
@@ -80,6 +82,9 @@ private:
     static void growTaken(RowSink& sink, std::size_t entries);
     static bool judgePair(void* state, std::uint32_t query, std::uint32_t candidate);
 
+    const ExactTest* mExact = nullptr;
+    const CancelCheck* mCancel = nullptr;
+    std::uint32_t mJudged = 0; // pairs, for asking whether to stop
     PageBlock mHaloMemory;
     PageBlock mTakenRows; // numbers of neighbors
     std::vector<std::uint32_t*> mTakenBegin;

@@ -17,7 +17,7 @@ void drawLots(const double* x, const double* y, const double* z, std::size_t cou
         std::uint32_t h = 0x6A09E667u; // so that no cube has lot 0 for its coordinates' sake
         for (int k = 0; k < 3; ++k) {
             const double t = rows[k][0] * x[i] + rows[k][1] * y[i] + rows[k][2] * z[i];
-            h ^= static_cast<std::uint32_t>(static_cast<std::int32_t>(roundDown(t))) * kOdd[k];
+            h ^= static_cast<std::uint32_t>(clampedInteger(roundDown(t))) * kOdd[k];
         }
         h = (h ^ h >> 15) * 0x2C1B3C6Du;
         drawn[i] = (h ^ h >> 13) <= last;

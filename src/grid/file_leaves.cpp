@@ -76,7 +76,7 @@ std::uint32_t occupiedCells(const FileLeaf& leaf, std::uint64_t* occupancy)
 
 // Copies the particles of a leaf and makes its starts of cells. False when one is outside its voxel or not finite.
 bool copyLeaf(const ParticleSource& source, const FileLeaf& leaf, const LeafRecord& record,
-              SparseGridData& grid)
+              SparseGridData& grid, const CancelCheck& cancel)
 {
     constexpr std::size_t kBatch = CellMap::kBatch;
     const double reference[3] = {double(leaf.origin[0]), double(leaf.origin[1]), double(leaf.origin[2])};
@@ -93,6 +93,7 @@ bool copyLeaf(const ParticleSource& source, const FileLeaf& leaf, const LeafReco
             *start++ = record.firstSlot + i;
             for (; i < end; ++i) {
                 if (i == batchEnd) {
+                    if (i > 0 && i % (64 * kBatch) == 0) cancel.check();
                     batchBegin = i;
                     batchEnd = std::min<std::uint32_t>(count, i + kBatch);
                     source.read(leaf.firstParticle + i, batchEnd - i,
@@ -141,7 +142,7 @@ bool takeOverLeaves(const ParticleView& view, double radius, const SearchOptions
     grid.coordinateError = 16 * kUneven; // of positions less than 12 cells from the leaf's centre
     grid.nonfiniteCount = 0;
     checkGridCapacity(grid, {slot, leaves.size(), 0, grid.x.usedBytes() * 4}, options.hostMemoryBytes);
-    grid.topology.build({grid.leafOrigins.data(), leaves.size()});
+    grid.topology.build({grid.leafOrigins.data(), leaves.size()}, cancel);
     const tbb::blocked_range<std::size_t> range(0, leaves.size(), 16);
     tbb::parallel_for(range, [&](const auto& r) {
         cancel.check();
@@ -164,7 +165,7 @@ bool takeOverLeaves(const ParticleView& view, double radius, const SearchOptions
     tbb::parallel_for(range, [&](const auto& r) {
         cancel.check();
         for (std::size_t l = r.begin(); l < r.end() && inside; ++l) {
-            if (!copyLeaf(source, leaves[l], grid.leaves[l], grid)) inside = false;
+            if (!copyLeaf(source, leaves[l], grid.leaves[l], grid, cancel)) inside = false;
         }
     });
     if (inside) cancel.update(1);

@@ -13,7 +13,7 @@ bool locateAxis(const double* t, std::size_t count, double limit, std::int32_t* 
 {
     for (std::size_t i = 0; i < count; ++i) {
         const double number = roundDown(t[i] * 0.125);
-        leaf[i] = static_cast<std::int32_t>(number);
+        leaf[i] = clampedInteger(number);
         local[i] = static_cast<float>(t[i] - number * 8 - 4);
     }
     int outside = 0;

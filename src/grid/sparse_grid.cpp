@@ -59,19 +59,31 @@ void scatterChunk(const ParticleSource& source, const CellMap& map, Chunk& chunk
 // occupancy mask; returns the number of occupied cells.
 std::uint32_t sortLeaf(const GridScratch::Record* records, std::uint32_t begin, std::uint32_t end,
                        SparseGridData& grid, std::uint64_t* occupancy, std::uint32_t* starts,
-                       std::vector<std::uint16_t>& cellOf)
+                       std::vector<std::uint16_t>& cellOf, const CancelCheck& cancel)
 {
+    constexpr std::uint32_t kParticlesBetweenChecks = 1u << 20;
     const std::uint32_t n = end - begin;
+    // f(first, end) for pieces of the particles.
+    const auto forEachPiece = [&](auto&& f) {
+        for (std::uint32_t first = 0, count; first < n; first += count) {
+            count = std::min(n - first, kParticlesBetweenChecks);
+            if (first > 0) cancel.check();
+            f(first, first + count);
+        }
+    };
     if (cellOf.size() < n) cellOf.resize(n);
     std::uint64_t mask[8] = {};
     std::uint32_t next[512] = {};
-    for (std::uint32_t i = 0; i < n; ++i) {
-        const GridScratch::Record& r = records[begin + i];
-        const unsigned x = cellInLeaf(r.x), yz = cellInLeaf(r.y) << 3 | cellInLeaf(r.z), cell = x << 6 | yz;
-        cellOf[i] = static_cast<std::uint16_t>(cell);
-        mask[x] |= std::uint64_t(1) << yz;
-        ++next[cell];
-    }
+    forEachPiece([&](std::uint32_t first, std::uint32_t last) {
+        for (std::uint32_t i = first; i < last; ++i) {
+            const GridScratch::Record& r = records[begin + i];
+            const unsigned x = cellInLeaf(r.x), yz = cellInLeaf(r.y) << 3 | cellInLeaf(r.z),
+                           cell = x << 6 | yz;
+            cellOf[i] = static_cast<std::uint16_t>(cell);
+            mask[x] |= std::uint64_t(1) << yz;
+            ++next[cell];
+        }
+    });
     std::uint32_t cells = 0, slot = begin;
     for (int w = 0; w < 8; ++w) {
         occupancy[w] = mask[w];
@@ -83,14 +95,16 @@ std::uint32_t sortLeaf(const GridScratch::Record* records, std::uint32_t begin, 
     }
     float *const x = grid.x.data(), *const y = grid.y.data(), *const z = grid.z.data();
     std::uint32_t* const number = grid.number.data();
-    for (std::uint32_t i = 0; i < n; ++i) {
-        const GridScratch::Record r = records[begin + i];
-        const std::uint32_t to = next[cellOf[i]]++;
-        x[to] = r.x;
-        y[to] = r.y;
-        z[to] = r.z;
-        number[to] = r.number;
-    }
+    forEachPiece([&](std::uint32_t first, std::uint32_t last) {
+        for (std::uint32_t i = first; i < last; ++i) {
+            const GridScratch::Record r = records[begin + i];
+            const std::uint32_t to = next[cellOf[i]]++;
+            x[to] = r.x;
+            y[to] = r.y;
+            z[to] = r.z;
+            number[to] = r.number;
+        }
+    });
     return cells;
 }
 
@@ -99,7 +113,7 @@ template <typename CheckCells>
 void sortCells(GridScratch& scratch, SparseGridData& grid, CheckCells&& checkCells, const CancelCheck& cancel)
 {
     const std::size_t leaves = grid.leafCount();
-    grid.topology.build({grid.leafOrigins.data(), leaves});
+    grid.topology.build({grid.leafOrigins.data(), leaves}, cancel);
     std::uint32_t* const starts = scratch.leafOf.data(); // no longer needed as such
     const tbb::blocked_range<std::size_t> range(0, leaves, 16);
     tbb::parallel_for(range, [&](const tbb::blocked_range<std::size_t>& r) {
@@ -110,7 +124,7 @@ void sortCells(GridScratch& scratch, SparseGridData& grid, CheckCells&& checkCel
             std::uint64_t* const occupancy = grid.topology.occupancy(l);
             leaf.occupancy = occupancy;
             leaf.firstCell = sortLeaf(scratch.records.data(), leaf.firstSlot, grid.leaves[l + 1].firstSlot,
-                                      grid, occupancy, starts + leaf.firstSlot, cellOf);
+                                      grid, occupancy, starts + leaf.firstSlot, cellOf, cancel);
         }
     });
     std::uint32_t cells = 0;

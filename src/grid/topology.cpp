@@ -74,7 +74,7 @@ Topology::~Topology()
     isolated([this] { mTree.reset(); }); // OpenVDB frees its nodes in parallel
 }
 
-void Topology::build(Span<const Vec3i> origins)
+void Topology::build(Span<const Vec3i> origins, const CancelCheck& cancel)
 {
     mTree->reclaimLeaves();
     std::vector<std::unique_ptr<Leaf>>& spare = mTree->spare;
@@ -84,6 +84,7 @@ void Topology::build(Span<const Vec3i> origins)
     std::vector<std::unique_ptr<Lower>> lowers(runs.size() - 1);
     std::vector<Leaf*> leaves(origins.size());
     tbb::parallel_for(std::size_t(0), lowers.size(), [&](std::size_t n) {
+        cancel.check();
         lowers[n] = std::make_unique<Lower>(originOf(origins[runs[n]], 7), false);
         for (std::size_t i = runs[n]; i < runs[n + 1]; ++i) {
             if (!spare[i]) spare[i] = std::make_unique<Leaf>(coordOf(origins[i]), false);

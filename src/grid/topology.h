@@ -3,6 +3,7 @@
 #pragma once
 
 #include "shared/block_view.h"
+#include "util/cancel.h"
 #include "vdb_nns/types.h"
 
 #include <cstdint>
@@ -23,8 +24,8 @@ public:
     Topology& operator=(const Topology&) = delete;
 
     // Rebuilds the tree with a leaf at each of `origins` (cell coordinates, multiples of 8, no duplicates). Leaves of one
-    // 128^3 node must stand together, and nodes of one 4096^3 node too. Masks are empty. In parallel.
-    void build(Span<const Vec3i> origins);
+    // 128^3 node must stand together, and nodes of one 4096^3 node too. Masks are empty. In parallel. Throws Cancelled.
+    void build(Span<const Vec3i> origins, const CancelCheck& cancel);
 
     // The 8 mask words of leaf i, in the order of openvdb::util::NodeMask<3>. Stay in place until the next build().
     std::uint64_t* occupancy(std::size_t i);

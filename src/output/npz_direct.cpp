@@ -9,6 +9,7 @@
 #include "output/output_file.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
+#include "util/known_value.h"
 #include "util/memory.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/search.h"
@@ -354,6 +355,7 @@ void writeNpzDirect(const std::string& path, SearchEngine& engine, const Neighbo
                     ListValues values, const OutputOptions& output, std::uint64_t bufferBytes,
                     const SearchOptions& options)
 {
+    requireKnown(values, ListValues::kDistance, "kind of values");
     const auto threads = static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());
     const std::uint64_t threadBytes =
         bufferBytes ? std::min(bufferBytes / threads, kMostThreadBytes) : kThreadBytes;

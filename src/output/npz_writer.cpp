@@ -7,6 +7,7 @@
 #include "output/output_file.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
+#include "util/known_value.h"
 #include "vdb_nns/error.h"
 
 #include <oneapi/tbb/parallel_for.h>
@@ -238,6 +239,7 @@ void writeNpzRows(const std::string& path, const NpzRows& rows, ListValues value
 void writeNpz(const std::string& path, const NeighborLists& lists, ListValues values,
               const OutputOptions& options, Progress* progress)
 {
+    requireKnown(values, ListValues::kDistance, "kind of values");
     if (lists.encoding() == Encoding::kNone) {
         throw InvalidInput(path +
                            ": counts alone (encoding none) are no lists; search with encoding index or mask");

@@ -4,6 +4,7 @@
 
 #include "lists/cell_candidates.h"
 #include "schedule/dispatcher.h"
+#include "util/known_value.h"
 #include "vdb_nns/error.h"
 
 #include <algorithm>
@@ -18,8 +19,10 @@ namespace {
 
 void check(const std::vector<DeviceLimits>& devices, const ScheduleOptions& options)
 {
+    requireKnown(options.boundary, BoundaryMode::kAuto, "boundary mode");
     const auto isSpeed = [](double rate) { return rate > 0 && std::isfinite(rate); };
     for (const DeviceLimits& device : devices) {
+        requireKnown(device.kind, DeviceKind::kSim, "kind of device");
         const std::string name = "device '" + device.name + "' ";
         if (device.memoryBytes == 0) throw InvalidInput(name + "has no memory: allow it some");
         if (device.slots < 1) {

@@ -6,6 +6,7 @@
 #include "shared/block_result.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
+#include "util/known_value.h"
 #include "vdb_nns/error.h"
 #include "workload/block_halo.h"
 
@@ -130,6 +131,7 @@ WorkloadTree buildWorkloadTree(const SparseGrid& sparseGrid, const WorkEstimate&
 {
     const double start = now();
     const SparseGridData& grid = sparseGrid.data();
+    requireKnown(options.model.encoding, Encoding::kNone, "encoding");
     if (estimate.leaves.size() != grid.leafCount()) {
         throw InvalidInput("an estimate of " + std::to_string(estimate.leaves.size()) +
                            " leaves is not of a grid with " + std::to_string(grid.leafCount()) + " leaves");

@@ -219,6 +219,37 @@ TEST(CudaFailures, TheCpuTakesOverWhereItMay)
     }
 }
 
+// A device that is kept and fails before the next run begins has failed as any other; the run after opens it anew.
+TEST(CudaFailures, AKeptDeviceMayFailBetweenRuns)
+{
+    const EstimatedGrid& own = problem();
+    simt::resetMachine({kDeviceBytes}, 7);
+    std::vector<DeviceLimits> devices = cudaDevices();
+    devices[0].memoryBytes = own.need(Encoding::kMask);
+    const Schedule schedule = makeSchedule(own.grid, own.tree(Encoding::kMask, ~0ull), devices);
+    SearchEngine engine;
+    const auto search = [&](DeviceFailure onFailure) {
+        RunOptions run;
+        run.onFailure = onFailure;
+        ScheduleRun report;
+        EXPECT_EQ(engine.search(own.grid, schedule, devices, run, report).checksum(), trueChecksum());
+        return report;
+    };
+    EXPECT_TRUE(search(DeviceFailure::kUseCpu).devices[0].failure.empty());
+    simt::fail("cudaEventRecord", 0, cudaErrorLaunchFailure);
+    const ScheduleRun failed = search(DeviceFailure::kUseCpu);
+    EXPECT_NE(failed.devices[0].failure.find("cudaEventRecord"), std::string::npos)
+        << failed.devices[0].failure;
+    EXPECT_EQ(failed.cpuParticles, own.grid.particleCount());
+    EXPECT_EQ(simt::liveAllocations(), 0u);
+    const ScheduleRun again = search(DeviceFailure::kUseCpu);
+    EXPECT_TRUE(again.devices[0].failure.empty()) << again.devices[0].failure;
+    EXPECT_EQ(again.devices[0].particles, own.grid.particleCount());
+    simt::fail("cudaEventRecord", 0, cudaErrorLaunchFailure);
+    EXPECT_THROW(search(DeviceFailure::kStop), DeviceError);
+    EXPECT_TRUE(search(DeviceFailure::kStop).devices[0].failure.empty());
+}
+
 } // namespace
 
 } // namespace vdb_nns::testing

@@ -150,6 +150,19 @@ TEST(Engine, BadArgumentsAreRefused)
         EXPECT_THROW(engine.search(grid, options), InvalidInput);
         EXPECT_THROW(engine.visit(grid, nobody, options), InvalidInput);
     }
+    for (const int value : {-1, 3, 77}) {
+        SearchOptions options;
+        options.encoding = static_cast<Encoding>(value);
+        EXPECT_THROW(engine.buildGrid(view, 1, options), InvalidInput) << value;
+        EXPECT_THROW(engine.search(grid, options), InvalidInput) << value;
+        EXPECT_THROW(engine.visit(grid, nobody, options), InvalidInput) << value;
+        options = {};
+        options.nonfinite = static_cast<NonFinite>(value);
+        EXPECT_THROW(engine.buildGrid(view, 1, options), InvalidInput) << value;
+        options = {};
+        options.simd = static_cast<SimdLevel>(value < 0 ? value : value + 2);
+        EXPECT_THROW(engine.search(grid, options), InvalidInput) << value;
+    }
     EXPECT_EQ(engine.search(SparseGrid()).pairCount(), 0u); // an empty grid
     EXPECT_NO_THROW(engine.visit(SparseGrid(), nobody));
     EXPECT_EQ(engine.search(grid).pairCount(), 0u); // and the engine still works

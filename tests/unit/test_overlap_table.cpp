@@ -16,6 +16,8 @@ namespace vdb_nns::testing {
 
 namespace {
 
+const CancelCheck kNeverCancelled(nullptr, "test");
+
 constexpr double kPi = boost::math::constants::pi<double>();
 constexpr double kTolerance = 1e-11;   // a hundred times tighter than the header promises
 constexpr double kUsual = 1 + 0x1p-16; // a cell edge is the radius / reach times this
@@ -211,7 +213,7 @@ TEST(OverlapTable, MonteCarloAgrees)
     for (const auto& [radius, reach] : {std::pair(1 / kUsual, 1), std::pair(1.5, 2), std::pair(2.9, 3)}) {
         SCOPED_TRACE(radius);
         const OverlapTable exact = OverlapTable::byQuadrature(radius, reach);
-        const OverlapTable random = OverlapTable::byMonteCarlo(radius, reach, kSamples, 1);
+        const OverlapTable random = OverlapTable::byMonteCarlo(radius, reach, kSamples, 1, kNeverCancelled);
         EXPECT_EQ(random.reach(), reach);
         forEachClass(reach, [&](int a, int b, int c) {
             const double share = exact.share(a, b, c);
@@ -226,9 +228,9 @@ TEST(OverlapTable, MonteCarloAgrees)
 TEST(OverlapTable, MonteCarloIsAFunctionOfItsSeed)
 {
     constexpr std::uint64_t kSamples = 10000;
-    const OverlapTable one = OverlapTable::byMonteCarlo(1, 1, kSamples, 1);
-    const OverlapTable again = OverlapTable::byMonteCarlo(1, 1, kSamples, 1);
-    const OverlapTable other = OverlapTable::byMonteCarlo(1, 1, kSamples, 2);
+    const OverlapTable one = OverlapTable::byMonteCarlo(1, 1, kSamples, 1, kNeverCancelled);
+    const OverlapTable again = OverlapTable::byMonteCarlo(1, 1, kSamples, 1, kNeverCancelled);
+    const OverlapTable other = OverlapTable::byMonteCarlo(1, 1, kSamples, 2, kNeverCancelled);
     forEachClass(1, [&](int a, int b, int c) { EXPECT_EQ(one.share(a, b, c), again.share(a, b, c)); });
     EXPECT_NE(one.share(0, 0, 0), other.share(0, 0, 0));
     EXPECT_NE(one.sum(), other.sum());

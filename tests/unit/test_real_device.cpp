@@ -10,6 +10,7 @@
 #include <gtest/gtest.h>
 
 #include <atomic>
+#include <cerrno>
 #include <chrono>
 #include <functional>
 #include <map>
@@ -19,6 +20,26 @@
 #include <stdexcept>
 #include <thread>
 #include <vector>
+
+#include <dlfcn.h>
+#include <pthread.h>
+
+namespace {
+
+// Threads that this thread may still start before one is refused, once; negative: all it likes.
+thread_local int threadsBeforeRefusal = -1;
+
+} // namespace
+
+// Before the system's, for the whole program.
+extern "C" int pthread_create(pthread_t* thread, const pthread_attr_t* attributes, void* (*run)(void*),
+                              void* argument)
+{
+    using Create = int (*)(pthread_t*, const pthread_attr_t*, void* (*)(void*), void*);
+    static const auto create = reinterpret_cast<Create>(::dlsym(RTLD_NEXT, "pthread_create"));
+    if (threadsBeforeRefusal >= 0 && threadsBeforeRefusal-- == 0) return EAGAIN;
+    return create(thread, attributes, run, argument);
+}
 
 namespace vdb_nns::testing {
 
@@ -42,6 +63,7 @@ struct Wish {
     StepTimes times;                                // of each flight
     std::chrono::milliseconds opening{0}, sleep{0}; // sleep: in wait()
     std::function<void(int flight)> onSearch;       // may throw
+    int threadsBeforeRefusal = -1;                  // for the slots; negative: all of them
 
     std::atomic<int> flights{0}, inside{0}, destroyed{0};
     std::atomic<bool> wasInsideAtEnd{false};
@@ -62,6 +84,11 @@ public:
     }
 
     bool isSimulated() const override { return false; }
+    std::byte* allocateStaging(std::uint64_t bytes) override
+    {
+        threadsBeforeRefusal = mWish.threadsBeforeRefusal; // threads are next
+        return SimulatedDevice::allocateStaging(bytes);
+    }
     void search(int slot, const BlockSearch& block) override
     {
         const Inside inside(mWish);
@@ -150,6 +177,26 @@ TEST(RealDevice, RunsItsFlightsOnThreadsOfItsOwn)
             EXPECT_EQ(wish.destroyed, 1);
         }
     }
+}
+
+TEST(RealDevice, DoesWithoutSlotsWhoseThreadsAreRefused)
+{
+    RealRun real(BoundaryMode::kHalo);
+    Wish two;
+    two.threadsBeforeRefusal = 2;
+    const ScheduleRun report = real.run(two);
+    EXPECT_TRUE(report.devices[0].failure.empty()) << report.devices[0].failure;
+    EXPECT_EQ(report.devices[0].particles, problem().grid.particleCount());
+    EXPECT_EQ(two.threads.size(), 2u);
+
+    Wish none;
+    none.threadsBeforeRefusal = 0;
+    EXPECT_THROW(real.run(none), DeviceError);
+    real.options.onFailure = DeviceFailure::kUseCpu;
+    const ScheduleRun failed = real.run(none);
+    EXPECT_NE(failed.devices[0].failure.find("no thread"), std::string::npos) << failed.devices[0].failure;
+    EXPECT_EQ(failed.cpuParticles, problem().grid.particleCount());
+    EXPECT_EQ(none.flights, 0);
 }
 
 TEST(RealDevice, WhatItMeasuresIsReported)

@@ -541,6 +541,9 @@ TEST(RunSchedule, AScheduleOfAnotherGridIsRefused)
             SearchEngine().search(many, few.schedule(Encoding::kNone, own, run.schedule), own, run, report),
             InvalidInput);
     }
+    RunOptions unknown;
+    unknown.onFailure = static_cast<DeviceFailure>(2);
+    EXPECT_THROW(SearchEngine().search(block.grid, schedule, devices, unknown, report), InvalidInput);
     DeviceLimits cuda = devices[0];
     cuda.kind = DeviceKind::kCuda;
     EXPECT_THROW(SearchEngine().search(block.grid, schedule, {cuda}, {}, report), DeviceError);

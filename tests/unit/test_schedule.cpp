@@ -582,6 +582,14 @@ TEST(Schedule, BadLimitsAreRefused)
         options.blockLog2Cells = log2Cells;
         expectRefused(deviceOf(1 << 20), options);
     }
+    for (const int unknown : {-1, 3, 77}) {
+        ScheduleOptions options;
+        options.boundary = static_cast<BoundaryMode>(unknown);
+        expectRefused(deviceOf(1 << 20), options);
+        DeviceLimits device = deviceOf(1 << 20);
+        device.kind = static_cast<DeviceKind>(unknown);
+        expectRefused(device);
+    }
 }
 
 TEST(Schedule, ATreeThatIsDividedFurtherCutsNoLeafThatFits)

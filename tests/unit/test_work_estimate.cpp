@@ -3,6 +3,7 @@
 #include "estimate/overlap_table.h"
 #include "execute/count_queries.h"
 #include "execute/exact_test.h"
+#include "execute/grid_tasks.h"
 #include "execute/kernels.h"
 #include "execute/thread_state.h"
 #include "grid/leaves_in_reach-inl.h"
@@ -388,6 +389,11 @@ TEST(WorkEstimate, BadOptionsAreRefused)
     EstimateOptions options;
     options.monteCarloSamples = 0;
     EXPECT_THROW(estimateWork(grid, options), InvalidInput);
+    for (const int unknown : {-1, 6, 77}) {
+        options = {};
+        options.estimator = static_cast<Estimator>(unknown);
+        EXPECT_THROW(estimateWork(grid, options), InvalidInput);
+    }
 }
 
 TEST(WorkEstimate, AnyShareAboveZeroIsASample)
@@ -527,9 +533,10 @@ public:
           mKernels(kernelsFor(level)),
           mExact(grid.data().view, grid.radius()),
           mContext{blockViewOf(grid.data()),
-                   makeFilterBounds(grid.data().radiusCells, grid.reach(), grid.data().coordinateError)}
+                   makeFilterBounds(grid.data().radiusCells, grid.reach(), grid.data().coordinateError),
+                   pollOf(mCancel)}
     {
-        mState.exact = &mExact;
+        mState.judgeBy(mExact, mCancel);
         mPool.begin(std::uint64_t(1) << 26, grid.particleCount());
         mState.pool = &mPool;
         mState.sink.slotBase = 0;
@@ -565,6 +572,7 @@ private:
     SparseGrid mGrid;
     decltype(kernelsFor(SimdLevel::kBest)) mKernels;
     ExactTest mExact;
+    CancelCheck mCancel{nullptr, "test"};
     SearchContext mContext;
     ChunkPool mPool{std::vector<PageBlock>()};
     ThreadState mState;

@@ -308,7 +308,8 @@ void makeChecksum(SearchEngine& engine, const SearchFlags& flags, const SearchPl
     const bool stored = lists.encoding() != Encoding::kNone, wanted = stored || plan.straightToFile;
     if (!flags.checksum && (flags.common.json.empty() || !wanted)) return;
     const Stopwatch watch;
-    report.checksum = stored ? lists.checksum() : visitChecksum(engine, lists.grid(), plan.options);
+    report.checksum =
+        stored ? lists.checksum(plan.options.progress) : visitChecksum(engine, lists.grid(), plan.options);
     report.seconds.checksum = watch.seconds();
 }
 

@@ -1,0 +1,156 @@
+// How soon a step ends that is asked to stop, where its pieces are as large as they come: many particles at one point.
+#include "unit/workload_cases.h"
+#include "vdb_nns/error.h"
+#include "vdb_nns/executor.h"
+#include "vdb_nns/point_file.h"
+
+#include <gtest/gtest.h>
+
+#include <cstdio>
+#include <cstdlib>
+#include <ctime>
+#include <filesystem>
+#include <functional>
+#include <string>
+#include <vector>
+
+namespace vdb_nns::testing {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+// 0.3 s are promised of each thread that has a processor to itself. Time is the processors', so that other work does not
+// count, and memory never used before may cost as much again.
+constexpr int kThreads = 2;
+constexpr double kMostSeconds = 2 * 0.3 * kThreads;
+
+// Of all threads of this process together.
+double processorSeconds()
+{
+    timespec time{};
+    ::clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &time);
+    return static_cast<double>(time.tv_sec) + 1e-9 * static_cast<double>(time.tv_nsec);
+}
+
+// Asks to stop after some time.
+class StopAfter final : public Progress {
+public:
+    explicit StopAfter(double seconds) : mStop(processorSeconds() + seconds) {}
+    void update(const char*, double) override {}
+    bool cancelled() const override { return processorSeconds() >= mStop; }
+
+    double secondsSince() const { return processorSeconds() - mStop; }
+
+private:
+    const double mStop;
+};
+
+// The step takes several times as long as it is given.
+void expectStops(const std::string& name, double afterSeconds, const std::function<void(Progress*)>& step)
+{
+    runOnThreads(kThreads, [&] {
+        StopAfter progress(afterSeconds);
+        EXPECT_THROW(step(&progress), Cancelled) << name;
+        const double seconds = progress.secondsSince();
+        EXPECT_LT(seconds, kMostSeconds) << name;
+        std::printf("%s: %.3f s\n", name.c_str(), seconds);
+    });
+}
+
+SearchOptions optionsOf(Encoding encoding, Progress* progress)
+{
+    SearchOptions options;
+    options.encoding = encoding;
+    options.progress = progress;
+    return options;
+}
+
+TEST(Cancel, StopsSearchesOfOnePoint)
+{
+    constexpr std::size_t kParticles = 4'000'000;
+    const std::vector<float> xyz(3 * kParticles, 0.25f);
+    const ParticleView view = ParticleView::fromArray(xyz.data(), kParticles);
+    SearchEngine engine;
+    const SparseGrid grid = engine.buildGrid(view, 1);
+    expectStops("grid", 0.002,
+                [&](Progress* progress) { engine.buildGrid(view, 1, optionsOf(Encoding::kNone, progress)); });
+    expectStops("counts", 0.1,
+                [&](Progress* progress) { engine.search(grid, optionsOf(Encoding::kNone, progress)); });
+    expectStops("whether lists fit", 0.1,
+                [&](Progress* progress) { engine.search(grid, optionsOf(Encoding::kIndex, progress)); });
+    expectStops("visit", 0.1, [&](Progress* progress) {
+        engine.visit(
+            grid, [](auto, auto, auto) {}, optionsOf(Encoding::kNone, progress));
+    });
+    expectStops("visitRows", 0.1, [&](Progress* progress) {
+        engine.visitRows(
+            grid, [](auto, auto) {}, optionsOf(Encoding::kNone, progress));
+    });
+    expectStops("estimate", 0.02, [&](Progress* progress) {
+        EstimateOptions options;
+        options.estimator = Estimator::kSampled;
+        options.progress = progress;
+        estimateWork(grid, options);
+    });
+    expectStops("random samples", 0.05, [&](Progress* progress) {
+        EstimateOptions options;
+        options.estimator = Estimator::kMonteCarlo;
+        options.monteCarloSamples = 1'000'000'000;
+        options.progress = progress;
+        estimateWork(grid, options);
+    });
+    const std::vector<DeviceLimits> devices{deviceOf(std::uint64_t(1) << 30)};
+    const Schedule schedule =
+        makeSchedule(grid, treeOf(grid, fixedEstimate(grid), ~std::uint64_t(0), Encoding::kNone), devices);
+    expectStops("simulated device", 0.1, [&](Progress* progress) {
+        RunOptions options;
+        options.search = optionsOf(Encoding::kNone, progress);
+        ScheduleRun report;
+        engine.search(grid, schedule, devices, options, report);
+    });
+}
+
+TEST(Cancel, StopsSearchesOfFewPoints)
+{
+    // Every other pair is at the radius, where the filter cannot decide.
+    constexpr std::size_t kParticles = 40'000;
+    std::vector<double> xyz(3 * kParticles, 0.0);
+    for (std::size_t i = 0; i < kParticles; ++i) xyz[3 * i] = i % 2 ? 1.0 : 0.0;
+    const ParticleView view = ParticleView::fromArray(xyz.data(), kParticles);
+    SearchEngine engine;
+    for (const Encoding encoding : {Encoding::kMask, Encoding::kNone}) {
+        expectStops("ties", 0.2, [&](Progress* progress) {
+            engine.findNeighbors(view, 1, optionsOf(encoding, progress));
+        });
+    }
+}
+
+TEST(Cancel, StopsWhatIsMadeOfLists)
+{
+    std::string name = (fs::temp_directory_path() / "vdb_nns_cancel_XXXXXX").string();
+    const fs::path folder = ::mkdtemp(name.data());
+    const std::string path = (folder / "lists.npz").string();
+    constexpr std::size_t kParticles = 8'000; // 64 M pairs
+    const std::vector<float> xyz(3 * kParticles, 0.25f);
+    SearchEngine engine;
+    for (const Encoding encoding : {Encoding::kIndex, Encoding::kMask}) {
+        const NeighborLists lists = engine.findNeighbors(ParticleView::fromArray(xyz.data(), kParticles), 1,
+                                                         optionsOf(encoding, nullptr));
+        expectStops("npz", 0.01, [&](Progress* progress) {
+            writeNpz(path, lists, ListValues::kDistance, {true}, progress);
+        });
+        expectStops("npz without lists", 0.01, [&](Progress* progress) {
+            writeNpzDirect(path, engine, lists, ListValues::kDistance, {true}, 0,
+                           optionsOf(encoding, progress));
+        });
+        expectStops("csr", 0.01, [&](Progress* progress) { lists.toCsr(progress); });
+        expectStops("checksum", 0.002, [&](Progress* progress) { lists.checksum(progress); });
+    }
+    EXPECT_TRUE(fs::is_empty(folder));
+    fs::remove_all(folder);
+}
+
+} // namespace
+
+} // namespace vdb_nns::testing
