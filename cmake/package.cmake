@@ -95,7 +95,7 @@ set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
 # What a program that links the static library links too, and finds by our CMake files.
 set(CPACK_DEBIAN_PACKAGE_DEPENDS "libopenvdb-dev, libtbb-dev, zlib1g-dev")
 set(CPACK_DEBIAN_PACKAGE_SUGGESTS "python3-matplotlib")
-set(CPACK_DEBIAN_PACKAGE_DESCRIPTION "exact fixed-radius neighbor search on sparse OpenVDB volumes
- For every particle of a point file or array, vdb_nns finds all others within a radius, exactly, out of core where
- memory is short. This package has the program, the static library, its headers and CMake files.")
+set(CPACK_DEBIAN_PACKAGE_DESCRIPTION # behind the project's own, of one line
+"For every particle of a point file or array, vdb_nns finds all others within a radius, exactly, out of core where
+memory is short. This package has the program, the static library, its headers and CMake files.")
 include(CPack)
