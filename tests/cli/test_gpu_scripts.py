@@ -14,10 +14,9 @@ import tarfile
 import tempfile
 import unittest
 
-KEYS = ["agreement", "kernel_mask", "kernel_index", "kernel_floor", "cut_mask", "cut_index", "per_gib_index", "per_gib_mask",
-        "former_mask", "former_index", "link_share",
+KEYS = ["agreement", "kernel_mask", "kernel_index", "kernel_floor", "cut_mask", "cut_index", "per_gib_index", "per_gib_mask", "link_share",
         "end_to_end", "over_mapped", "mapped_link", "over_all_cores", "block_sizes", "cpu_and_gpu", "index_link_share",
-        "over_one_core", "scale"]
+        "over_one_core", "scale", "former_mask", "former_index"]
 
 
 def gpu_bench(*args, **variables):
