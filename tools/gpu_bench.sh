@@ -2,8 +2,8 @@
 # Measures vdb_nns on this machine's CUDA device: that all devices agree, how fast they are, and what they are to be measured
 # by. Prints one table; reports of every step, and the table as summary.json, go to a folder.
 #   gpu_bench.sh [--tiny] [--only PART] [--host-memory SIZE] [FOLDER]    FOLDER: gpu_bench_results by default
-# --tiny: sizes that prove nothing, for tests. --only: agreement, kernel, former, large, medium or scale, which needs medium's reports in
-# FOLDER. --host-memory: as vdb_nns has it, for machines whose memory grows as it is used, so that little is free at first. `former`
+# --tiny: sizes that prove nothing, for tests. --only: agreement, kernel, large, medium, scale (which needs medium's reports in FOLDER)
+# or former. --host-memory: as vdb_nns has it, for machines whose memory grows as it is used, so that little is free at first. `former`
 # compares with the program that has the former kernels, vdb_nns_former beside vdb_nns or $VDB_NNS_FORMER.
 # The program is the one beside this script, or $VDB_NNS: VDB_NNS=build/vdb_nns tools/gpu_bench.sh results. summary.json comes
 # once more as DEVICE-DATE.json, for docs/results. Takes under 8 minutes on an H200 with 16 cores. A step that fails or takes too
@@ -11,7 +11,7 @@
 set -uo pipefail
 export LC_ALL=C
 
-tiny=0 out=gpu_bench_results seen=0 only='' parts=(agreement kernel former large medium scale) host=()
+tiny=0 out=gpu_bench_results seen=0 only='' parts=(agreement kernel large medium scale former) host=()
 while [ $# -gt 0 ]; do
     case $1 in
     --tiny) tiny=1 ;;

@@ -100,7 +100,7 @@ print_counters() {
             for (i = 1; i <= count; ++i) {
                 if (name[i] ~ wanted && cell[i] != "") printf "%s: %s %s\n", kernel, name[i], cell[i]
             }
-        }' wanted='^(gpu__time_duration.sum|sm(sp)?__inst_executed.sum|smsp__issue_active.avg.*|sm__warps_active.avg.pct.*|sm(sp)?__inst_executed_pipe_[a-z0-9_]+\\.(sum|avg\\.pct.*)|dram__throughput.avg.pct.*)$' "$1"
+        }' wanted='^(gpu__time_duration.sum|sm(sp)?__inst_executed.sum|smsp__issue_active.avg.*|sm__warps_active.avg.pct.*|sm(sp)?__inst_executed_pipe_[a-z0-9_]+\\.(sum|avg\\.pct.*)|(gpu__)?dram_?_throughput.avg.pct.*)$' "$1"
 }
 
 profile() {

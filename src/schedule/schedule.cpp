@@ -254,7 +254,8 @@ Schedule scheduleAtOnce(const SparseGridData& grid, const WorkloadTree& tree,
     alone.useCpu = devices.empty();
     handOut(devices, budgets, alone, one);
     // A tree that is not divided so far has no nodes for the slots.
-    if (devices.empty() || tree.options.nodeBytes > blockBudget(devices[0])) return one;
+    const bool mayBeCut = !devices.empty() && tree.options.nodeBytes <= blockBudget(devices[0]);
+    if (options.oneBlock || !mayBeCut) return one;
     Schedule cut = scheduleWith(grid, tree, devices, alone, one.boundary, true);
     const bool endsSooner = cut.tooLargeQueries == 0 && cut.predictedSeconds < one.predictedSeconds;
     return endsSooner ? cut : one;

@@ -12,12 +12,12 @@ import subprocess
 import sys
 import tarfile
 import tempfile
+import time
 import unittest
 
-KEYS = ["agreement", "kernel_mask", "kernel_index", "kernel_floor", "cut_mask", "cut_index", "per_gib_index", "per_gib_mask",
-        "former_mask", "former_index", "link_share",
+KEYS = ["agreement", "kernel_mask", "kernel_index", "kernel_floor", "cut_mask", "cut_index", "per_gib_index", "per_gib_mask", "link_share",
         "end_to_end", "over_mapped", "mapped_link", "over_all_cores", "block_sizes", "cpu_and_gpu", "index_link_share",
-        "over_one_core", "scale"]
+        "over_one_core", "scale", "former_mask", "former_index"]
 
 
 def gpu_bench(*args, **variables):
@@ -229,6 +229,15 @@ class GpuSession(ScriptCase):
         done = self.session("2", DEADLINE="0")
         self.assertEqual((done.returncode, done.stdout.count("SKIPPED, no time is left")), (1, 5), done.stdout)
         self.kept(2)
+
+    def test_a_step_that_hangs_loses_what_follows(self):
+        started = time.monotonic()
+        done = self.session("1", TEST_CUDA_GPU=self.program("hangs", "sleep 100\n"), DEADLINE="6")
+        self.assertLess(time.monotonic() - started, 60)
+        self.assertEqual(done.returncode, 1)
+        self.assertRegex(done.stdout, "tests +FAILED: no end within [1-6] s")
+        self.assertGreater(done.stdout.count("SKIPPED, no time is left"), 4, done.stdout)
+        self.assertIn("tests.txt", self.kept(1))
 
     def test_bad_arguments(self):
         for arguments in ([], ["3"], ["1", "a", "b"], ["--huge", "1"], ["1", ""]):

@@ -409,7 +409,7 @@ TEST(Schedule, InCoreIsInAsManyBlocksAsEndSooner)
             ScheduleOptions options;
             options.oneBlock = oneBlock;
             const std::uint64_t nodes =
-                nodeBytesFor(problem.grid, problem.estimate, one.options.model, devices, options);
+                nodeBytesFor(problem.grid, problem.estimate, one.options.model, devices);
             const Schedule schedule =
                 makeSchedule(problem.grid, problem.tree(encoding, nodes), devices, options);
             expectEachQueryOnce(schedule, problem);
