@@ -48,5 +48,12 @@ ASAN_OPTIONS=${ASAN_OPTIONS:-allocator_may_return_null=1} UBSAN_OPTIONS=${UBSAN_
     ctest --test-dir build/asan -L asan --output-on-failure --no-tests=error
 took
 
+# The compiled kernels are tested by CUDA's disassembler, which a toolkit may lack.
+export PATH="$PATH:/usr/local/cuda/bin:/opt/cuda/bin:$PWD/build/nvdisasm/nvidia/cu13/bin"
+if command -v nvcc >/dev/null && ! command -v nvdisasm >/dev/null; then
+    python3 -m pip install -q --disable-pip-version-check --root-user-action=ignore --target build/nvdisasm nvidia-cuda-nvdisasm ||
+        echo "no nvdisasm: the test of the compiled kernels will be skipped"
+fi
+
 say "the suite"
 VDB_NNS_REQUIRE_PEERS=1 ctest --test-dir build --output-on-failure --no-tests=error
