@@ -46,8 +46,8 @@ struct ScheduleOptions {
         0; ///< blocks of 2^k cells at most: the paper's fixed sizes; 0 for the largest that fit
     double cpuTestsPerSecond = 4e9; ///< of all threads together
     bool useCpu = true;             ///< TBB workers take blocks too, where that ends sooner
-    bool oneBlock =
-        false; ///< no more than one where everything fits the one device, even if more would end sooner: a baseline
+    /// No more than one block where everything fits the one device, even if more would end sooner: a baseline.
+    bool oneBlock = false;
 };
 
 /// The queries of a range of leaves, or a range of the queries of one leaf.
@@ -74,8 +74,8 @@ struct DevicePlan {
 };
 
 struct Schedule {
-    bool inCore =
-        true; ///< everything fits the one device at once, and is searched there; or there is no device
+    /// Everything fits the one device at once, and is searched there; or there is no device.
+    bool inCore = true;
     BoundaryMode boundary = BoundaryMode::kHalo; ///< decided
     MemoryModel model;
     std::vector<Block> blocks;       ///< in the order of the grid; every query is in one of them
