@@ -74,7 +74,7 @@ within() {
 without_warnings() {
     local log="$1.log"
     within "$@" 2>&1 | tee "$log"
-    ! grep -A5 'warning:' "$log" >&2 || { echo "fresh_machines: a compiler warns" >&2; return 1; }
+    ! grep -EA5 '^[^ ]+:[0-9]+:[0-9]+: warning:' "$log" >&2 || { echo "fresh_machines: a compiler warns" >&2; return 1; }
 }
 
 for release in "${releases[@]}"; do
