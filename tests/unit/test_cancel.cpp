@@ -1,5 +1,5 @@
-// How soon a step ends that is asked to stop, where its pieces are as large as they come: many particles at one point, and
-// large files.
+// How soon a step ends that is asked to stop, where its pieces are as large as they come: many particles at one point. And
+// how often the readers of files ask.
 #include "unit/workload_cases.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/executor.h"
@@ -9,6 +9,7 @@
 
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <cstdio>
 #include <cstdlib>
 #include <ctime>
@@ -47,6 +48,18 @@ public:
 
 private:
     const double mStop;
+};
+
+// Asks to stop when it is asked so many times.
+class StopAtQuestion final : public Progress {
+public:
+    explicit StopAtQuestion(int number) : mNumber(number) {}
+    void update(const char*, double) override {}
+    bool cancelled() const override { return ++mQuestions >= mNumber; }
+
+private:
+    const int mNumber;
+    mutable std::atomic<int> mQuestions{0};
 };
 
 // The step takes several times as long as it is given.
@@ -140,21 +153,19 @@ protected:
 
     std::string path(const std::string& name) const { return (mFolder / name).string(); }
 
-    // `head`, and `line` many times.
-    void writeText(const std::string& name, const std::string& head, const std::string& line,
-                   std::size_t count) const
+    // Reading asks in each MB of the file, which takes some milliseconds.
+    void expectAsks(const std::string& name, const std::function<void(Progress*)>& read) const
     {
-        std::ofstream file(path(name), std::ios::binary);
-        file << head;
-        for (std::size_t i = 0; i < count; ++i) file << line;
+        const auto megabytes = static_cast<int>(fs::file_size(path(name)) >> 20);
+        ASSERT_GE(megabytes, 4);
+        // An array file's bytes come by 8 MB.
+        StopAtQuestion progress(3 + megabytes + megabytes / 8);
+        EXPECT_THROW(read(&progress), Cancelled) << name;
     }
 
-    // Reading takes many times as long as this.
-    void expectReadingStops(const std::string& name) const
+    void expectAsks(const std::string& name) const
     {
-        expectStops("read " + name, 0.1, [&](Progress* progress) {
-            PointFile::read(path(name), {"", 0, progress});
-        });
+        expectAsks(name, [&](Progress* progress) { PointFile::read(path(name), {"", 0, progress}); });
     }
 
     fs::path mFolder;
@@ -162,25 +173,24 @@ protected:
 
 TEST_F(CancelWithFiles, StopsReadingTexts)
 {
-    constexpr std::size_t kParticles = 8'000'000;
-    const std::string line = "0.12345678 0.23456789 0.34567891\n";
-    writeText("text.xyz", "", line, kParticles);
-    expectReadingStops("text.xyz");
-    fs::remove(path("text.xyz"));
-    writeText("text.ply",
-              "ply\nformat ascii 1.0\nelement vertex " + std::to_string(kParticles) +
-                  "\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
-              line, kParticles);
-    expectReadingStops("text.ply");
+    constexpr std::size_t kParticles = 250'000;
+    std::string lines;
+    for (std::size_t i = 0; i < kParticles; ++i) lines += "0.1234567 0.2345678 0.3456789\n";
+    std::ofstream(path("text.xyz")) << lines;
+    expectAsks("text.xyz");
+    std::ofstream(path("text.ply")) << "ply\nformat ascii 1.0\nelement vertex " << kParticles
+                                    << "\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+                                    << lines;
+    expectAsks("text.ply");
 }
 
 TEST_F(CancelWithFiles, StopsReadingVdb)
 {
     SceneOptions options;
     options.name = "block";
-    options.count = 8'000'000;
+    options.count = 500'000;
     writeScene(path("block.vdb"), makeScene(options), options);
-    expectReadingStops("block.vdb");
+    expectAsks("block.vdb");
 }
 
 TEST_F(CancelWithFiles, StopsWhatIsMadeOfLists)
@@ -207,14 +217,12 @@ TEST_F(CancelWithFiles, StopsWhatIsMadeOfLists)
 
 TEST_F(CancelWithFiles, StopsReadingLists)
 {
-    constexpr std::size_t kParticles = 12'000; // 144 M pairs
+    constexpr std::size_t kParticles = 1'500; // 2 M pairs
     const std::vector<float> xyz(3 * kParticles, 0.25f);
-    SearchEngine engine;
-    const NeighborLists lists = engine.findNeighbors(ParticleView::fromArray(xyz.data(), kParticles), 1,
-                                                     optionsOf(Encoding::kMask, nullptr));
+    const NeighborLists lists = SearchEngine().findNeighbors(ParticleView::fromArray(xyz.data(), kParticles),
+                                                             1, optionsOf(Encoding::kMask, nullptr));
     writeNpz(path("lists.npz"), lists, ListValues::kConnectivity);
-    expectStops("read lists", 0.1,
-                [&](Progress* progress) { cli::ListsFile::open(path("lists.npz"), progress); });
+    expectAsks("lists.npz", [&](Progress* progress) { cli::ListsFile::open(path("lists.npz"), progress); });
 }
 
 } // namespace
