@@ -43,7 +43,8 @@ struct PointFileOptions {
     std::string grid;
 
     /// Bytes that reading may take; 0: what is free (availableMemoryBytes()). Held against the size of the file before it
-    /// is read, and of a text against its positions too. A .vdb may take more, as it is mostly compressed.
+    /// is read, and of a text against its positions too. Of a .vdb the chosen grid's part counts, or the whole file where it
+    /// was written as a stream; reading may take more, as it is mostly compressed.
     std::uint64_t hostMemoryBytes = 0;
 
     /// Told how far reading is, and asked whether to stop; may be null.

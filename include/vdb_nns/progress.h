@@ -14,7 +14,7 @@ public:
     virtual void update(const char* step, double fraction) = 0;
 
     /// When true is returned, the running step stops within 0.3 s of each thread's work and throws `Cancelled`. Not so
-    /// while OpenVDB reads a grid or a device searches a block. Writers ask for the last time before the file appears.
+    /// while a device searches a block. Writers ask for the last time before the file appears.
     virtual bool cancelled() const { return false; }
 };
 

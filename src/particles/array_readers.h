@@ -5,6 +5,7 @@
 // nothing of OpenVDB.
 #pragma once
 
+#include "util/cancel.h"
 #include "vdb_nns/types.h"
 
 #include <cstddef>
@@ -45,12 +46,14 @@ NpyLayout parseNpy(const std::string& path, FileBytes bytes);
 // or double. Other elements and properties, lists too, are walked over.
 // http://paulbourke.net/dataformats/ply/
 // Throws CapacityError where the positions take more than `allowedBytes`.
-PositionArray parsePly(const std::string& path, FileBytes bytes, std::uint64_t allowedBytes = kAnyBytes);
+PositionArray parsePly(const std::string& path, FileBytes bytes, std::uint64_t allowedBytes = kAnyBytes,
+                       const CancelCheck& cancel = {nullptr, "read"});
 
 // Text, three numbers a line, more columns ignored; `#` starts a comment; blank lines are ignored. A first
 // line of one integer (a particle count, as chemistry's .xyz has) is refused, since what follows it is then
-// no list of positions. Throws CapacityError where a position for every line takes more than `allowedBytes`.
-PositionArray parseXyz(const std::string& path, FileBytes bytes, std::uint64_t allowedBytes = kAnyBytes);
+// no list of positions. Throws CapacityError where reading the positions takes more than `allowedBytes`.
+PositionArray parseXyz(const std::string& path, FileBytes bytes, std::uint64_t allowedBytes = kAnyBytes,
+                       const CancelCheck& cancel = {nullptr, "read"});
 
 // Throws the CapacityError of a file whose points need more than may be taken.
 void checkPointsFit(const std::string& path, std::uint64_t neededBytes, std::uint64_t allowedBytes);

@@ -41,11 +41,28 @@ VertexLayout findPosition(const std::string& path, const PlyElement& vertex)
 
 // ------------------------------------------------------------------------------------------------ rows
 
+// Asks whether to stop, once in many values.
+class ValueCounter {
+public:
+    explicit ValueCounter(const CancelCheck& cancel) : mCancel(cancel) {}
+
+    void count()
+    {
+        if (++mValues % kValuesBetween == 0) mCancel.check();
+    }
+
+private:
+    static constexpr std::uint64_t kValuesBetween = std::uint64_t(1) << 16;
+
+    const CancelCheck& mCancel;
+    std::uint64_t mValues = 0;
+};
+
 // Values of a text body, one after the other; where lines end does not matter.
 class TextValues {
 public:
-    TextValues(const std::string& path, FileBytes bytes, std::size_t next)
-        : mPath(path), mBytes(bytes), mNext(next)
+    TextValues(const std::string& path, FileBytes bytes, std::size_t next, const CancelCheck& cancel)
+        : mPath(path), mBytes(bytes), mNext(next), mCounter(cancel)
     {
     }
 
@@ -83,6 +100,7 @@ private:
 
     std::string_view token()
     {
+        mCounter.count();
         while (mNext < mBytes.size() && isSpace(mBytes[mNext])) ++mNext;
         mTokenStart = mNext;
         while (mNext < mBytes.size() && !isSpace(mBytes[mNext])) ++mNext;
@@ -114,13 +132,15 @@ private:
     const std::string& mPath;
     FileBytes mBytes;
     std::size_t mNext, mTokenStart = 0;
+    ValueCounter mCounter;
 };
 
 // Values of a binary body.
 class BinaryValues {
 public:
-    BinaryValues(const std::string& path, FileBytes bytes, std::size_t next, bool isBigEndian)
-        : mPath(path), mBytes(bytes), mNext(next), mIsBigEndian(isBigEndian)
+    BinaryValues(const std::string& path, FileBytes bytes, std::size_t next, bool isBigEndian,
+                 const CancelCheck& cancel)
+        : mPath(path), mBytes(bytes), mNext(next), mIsBigEndian(isBigEndian), mCounter(cancel)
     {
     }
 
@@ -157,6 +177,7 @@ public:
 
     void skipBytes(std::uint64_t count)
     {
+        mCounter.count();
         if (count > mBytes.size() - mNext) {
             failAt(mPath, mNext, "the file ends before the rows that its header promises; it is truncated");
         }
@@ -179,6 +200,7 @@ private:
     FileBytes mBytes;
     std::size_t mNext;
     bool mIsBigEndian;
+    ValueCounter mCounter;
 };
 
 // ------------------------------------------------------------------------------------------------ body
@@ -201,15 +223,17 @@ void readVertices(Values& values, const PlyElement& vertex, const VertexLayout& 
     std::vector<int> coordinate(vertex.properties.size(), 3);
     for (int k = 0; k < 3; ++k) coordinate[layout.property[k]] = k;
 
-    out.resize(static_cast<std::size_t>(vertex.count) * 3);
-    for (Real* row = out.data(); row != out.data() + out.size(); row += 3) {
+    out.reserve(static_cast<std::size_t>(vertex.count) * 3);
+    for (std::uint64_t row = 0; row < vertex.count; ++row) {
+        Real position[3]{};
         for (std::size_t i = 0; i < coordinate.size(); ++i) {
             if (coordinate[i] < 3) {
-                row[coordinate[i]] = values.template real<Real>(vertex.properties[i].type);
+                position[coordinate[i]] = values.template real<Real>(vertex.properties[i].type);
             } else {
                 skipProperty(values, vertex.properties[i]);
             }
         }
+        for (const Real value : position) out.push_back(value);
     }
 }
 
@@ -272,7 +296,8 @@ void checkCounts(const std::string& path, const PlyHeader& header, std::size_t f
 
 } // namespace
 
-PositionArray parsePly(const std::string& path, FileBytes bytes, std::uint64_t allowedBytes)
+PositionArray parsePly(const std::string& path, FileBytes bytes, std::uint64_t allowedBytes,
+                       const CancelCheck& cancel)
 {
     const PlyHeader header = PlyHeaderReader(path, bytes).read();
     checkCounts(path, header, bytes.size());
@@ -287,10 +312,10 @@ PositionArray parsePly(const std::string& path, FileBytes bytes, std::uint64_t a
     checkPointsFit(path, vertex->count * 3 * (layout.isDouble ? sizeof(double) : sizeof(float)),
                    allowedBytes);
     if (header.format == PlyFormat::kAscii) {
-        TextValues values(path, bytes, header.bytes);
+        TextValues values(path, bytes, header.bytes, cancel);
         return readBody(values, header, *vertex, layout);
     }
-    BinaryValues values(path, bytes, header.bytes, header.format == PlyFormat::kBigEndian);
+    BinaryValues values(path, bytes, header.bytes, header.format == PlyFormat::kBigEndian, cancel);
     return readBody(values, header, *vertex, layout);
 }
 

@@ -157,8 +157,8 @@ ParticleView readArray(const InputDescriptor& file, std::uint64_t allowedBytes, 
         data.view = isDouble ? viewOfNpy<double>(data.bytes, layout) : viewOfNpy<float>(data.bytes, layout);
     } else {
         const std::uint64_t left = allowedBytes - file.bytes();
-        data.positions =
-            info.format == "ply" ? parsePly(info.path, bytes, left) : parseXyz(info.path, bytes, left);
+        data.positions = info.format == "ply" ? parsePly(info.path, bytes, left, cancel)
+                                              : parseXyz(info.path, bytes, left, cancel);
         data.bytes = {};
         const PositionArray& positions = data.positions;
         isDouble = positions.floats.empty();
@@ -266,18 +266,18 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
         throw InvalidInput(path + ": a ." + format + " file has no grids; leave the grid name '" +
                            options.grid + "' out");
     }
-    const InputDescriptor file(path);
+    const InputDescriptor file(path); // of a .vdb too: it says what is wrong with a file that cannot be read
     const std::uint64_t allowedBytes =
         options.hostMemoryBytes ? options.hostMemoryBytes : availableMemoryBytes();
-    checkPointsFit(path, file.bytes(), allowedBytes);
     const auto readFile = [&] {
         if (format == "vdb") {
-            data.vdb = VdbFile::read(path, options.grid, options.progress);
+            data.vdb = VdbFile::read(path, options.grid, allowedBytes, options.progress);
             data.view = data.vdb->view();
             data.vdb->describe(data.info);
         } else {
             const CancelCheck cancel(options.progress, "read");
             cancel.update(0);
+            checkPointsFit(path, file.bytes(), allowedBytes);
             data.view = readArray(file, allowedBytes, cancel, data.info);
             cancel.update(1);
         }

@@ -2,6 +2,7 @@
 #include "particles/vdb_file.h"
 
 #include "output/output_file.h"
+#include "particles/array_readers.h"
 #include "particles/particle_source.h"
 #include "particles/vdb_archive.h"
 #include "util/cancel.h"
@@ -87,31 +88,89 @@ std::size_t chooseEntry(const std::string& path, const std::vector<VdbEntry>& en
     throw InvalidInput(path + ": has no point grid '" + wanted + "'; its point grids are " + list);
 }
 
+// Asks whether to stop each time that it turns to the file. What it throws leaves a stream whose exceptions() have badbit.
+class CancellableFileBuffer final : public std::filebuf {
+public:
+    CancellableFileBuffer(const std::string& path, const CancelCheck& cancel)
+        : mCancel(cancel), mBytes(std::size_t(64) << 10)
+    {
+        pubsetbuf(mBytes.data(), static_cast<std::streamsize>(mBytes.size()));
+        if (!open(path, std::ios::in | std::ios::binary)) throw InputError(path + ": cannot be read");
+    }
+
+    ~CancellableFileBuffer() override { close(); } // while its bytes are there
+
+protected:
+    int_type underflow() override
+    {
+        mCancel.check();
+        return std::filebuf::underflow();
+    }
+
+    std::streamsize xsgetn(char* out, std::streamsize count) override
+    {
+        std::streamsize done = 0;
+        while (done < count) {
+            const std::streamsize piece = std::min(kMostBytes, count - done);
+            if (piece > egptr() - gptr()) mCancel.check();
+            const std::streamsize got = std::filebuf::xsgetn(out + done, piece);
+            done += got;
+            if (got < piece) break;
+        }
+        return done;
+    }
+
+private:
+    static constexpr std::streamsize kMostBytes = std::streamsize(16) << 20; // of one call for a large array
+
+    const CancelCheck& mCancel;
+    std::vector<char> mBytes;
+};
+
 // Reads grids from a stream of its own. Unlike io::File it can tell where the reading of a grid stopped: OpenVDB
 // reads damaged sizes and counts without a word, and stops at another byte than the writer did.
 class Archive final : private openvdb::io::Archive {
 public:
-    explicit Archive(const std::string& path)
-        : mPath(path), mDirectory(readVdbDirectory(path)), mStream(path, std::ios::binary)
+    // `cancel` must outlive it. A file without offsets is read at once; where it has more than `allowedBytes`,
+    // CapacityError.
+    Archive(const std::string& path, std::uint64_t allowedBytes, const CancelCheck& cancel)
+        : mPath(path), mDirectory(readVdbDirectory(path)), mBuffer(path, cancel)
     {
         mStream.exceptions(std::ios::badbit | std::ios::failbit | std::ios::eofbit);
         failTruncated([&] {
             openHeader();
             mMetadata.readMeta(mStream);
-            if (!mDirectory.hasOffsets) readStream();
+            if (mDirectory.hasOffsets) return;
+            checkPointsFit(path, mDirectory.fileBytes, allowedBytes);
+            readStream();
         });
     }
 
     const std::vector<VdbEntry>& entries() const { return mDirectory.entries; }
     const openvdb::MetaMap& metadata() const { return mMetadata; }
 
+    // Of the file, that read() goes through.
+    std::uint64_t bytesOf(std::size_t entry) const
+    {
+        const VdbEntry& own = entries()[entry];
+        std::uint64_t bytes = own.gridEnd - own.gridBegin;
+        if (const VdbEntry* const parent = parentOf(own)) bytes += parent->gridEnd - parent->gridBegin;
+        return bytes;
+    }
+
     openvdb::GridBase::Ptr read(std::size_t entry)
     {
-        if (!mDirectory.hasOffsets) return mStreamGrids[entry];
-        const openvdb::GridBase::Ptr grid = readEntry(entries()[entry]);
-        const std::string& parent = entries()[entry].instanceParent;
-        if (!parent.empty()) grid->setTree(readEntry(entryOf(parent))->baseTreePtr());
+        const openvdb::GridBase::Ptr grid = readWithoutParent(entry);
+        if (!mDirectory.hasOffsets) return grid;
+        const VdbEntry* const parent = parentOf(entries()[entry]);
+        if (parent) grid->setTree(readEntry(*parent)->baseTreePtr());
         return grid;
+    }
+
+    // Leaves the tree of an instance to the caller, who has it.
+    openvdb::GridBase::Ptr readWithoutParent(std::size_t entry)
+    {
+        return mDirectory.hasOffsets ? readEntry(entries()[entry]) : mStreamGrids[entry];
     }
 
 private:
@@ -144,13 +203,19 @@ private:
 
     std::uint64_t position() { return static_cast<std::uint64_t>(mStream.tellg()); }
 
-    const VdbEntry& entryOf(const std::string& uniqueName) const
+    // The grid whose tree an instance shares; null for others.
+    const VdbEntry* parentOf(const VdbEntry& instance) const
     {
-        for (const VdbEntry& entry : entries()) {
-            if (entry.uniqueName == uniqueName) return entry;
-        }
-        throw InputError(mPath + ": damaged: a grid shares the tree of " + quoted(uniqueName) +
-                         ", which the file does not have; write the file again");
+        const std::string& parent = instance.instanceParent;
+        if (parent.empty()) return nullptr;
+        const auto found = std::find_if(entries().begin(), entries().end(),
+                                        [&](const VdbEntry& entry) { return entry.uniqueName == parent; });
+        if (found != entries().end() && found->instanceParent.empty()) return &*found;
+        throw InputError(
+            mPath + ": damaged: grid " + quoted(instance.uniqueName) + " shares the tree of " +
+            quoted(parent) +
+            (found == entries().end() ? ", which the file does not have" : ", which has no tree of its own") +
+            "; write the file again");
     }
 
     openvdb::GridBase::Ptr readEntry(const VdbEntry& entry)
@@ -183,12 +248,14 @@ private:
             VdbEntry entry;
             entry.uniqueName = descriptor.uniqueName();
             entry.gridType = grid->type();
+            entry.instanceParent = descriptor.instanceParentName();
             entry.compression = openvdb::io::getDataCompression(mStream);
             mDirectory.entries.push_back(entry);
             mStreamGrids.push_back(grid);
             named[descriptor.uniqueName()] = grid;
             descriptors.push_back(descriptor);
         }
+        for (const VdbEntry& entry : entries()) parentOf(entry); // throws where there is no such tree
         for (const GridDescriptor& descriptor : descriptors) connectInstance(descriptor, named);
         if (position() == mDirectory.fileBytes) return;
         throw InputError(mPath + ": damaged: its grids were read up to byte " + std::to_string(position()) +
@@ -197,7 +264,8 @@ private:
 
     std::string mPath;
     VdbDirectory mDirectory;
-    std::ifstream mStream;
+    CancellableFileBuffer mBuffer;
+    std::istream mStream{&mBuffer};
     openvdb::io::StreamMetadata::Ptr mStreamMetadata = std::make_shared<openvdb::io::StreamMetadata>();
     openvdb::MetaMap mMetadata;
     openvdb::GridPtrVec mStreamGrids;
@@ -208,7 +276,8 @@ private:
 class AttributeLoan {
 public:
     // `isLent`: of the grid, true already; no more at the end.
-    AttributeLoan(points::PointDataGrid& grid, std::atomic<bool>& isLent) : mIsLent(isLent)
+    // Delegates first, so that the destructor takes everything back where this throws.
+    AttributeLoan(points::PointDataGrid& grid, std::atomic<bool>& isLent) : AttributeLoan(isLent)
     {
         grid.tree().getNodes(mLeaves);
         mSets.reserve(mLeaves.size());
@@ -231,6 +300,8 @@ public:
     AttributeLoan& operator=(const AttributeLoan&) = delete;
 
 private:
+    explicit AttributeLoan(std::atomic<bool>& isLent) : mIsLent(isLent) {}
+
     std::atomic<bool>& mIsLent;
     std::vector<Leaf*> mLeaves;
     std::vector<points::AttributeSet::UniquePtr> mSets;
@@ -261,13 +332,16 @@ std::uint32_t archiveCompression(const std::vector<VdbEntry>& entries, std::size
 
 class LoadedVdb final : public VdbFile {
 public:
-    LoadedVdb(const std::string& path, const std::string& wanted, Progress* progress) : mPath(path)
+    LoadedVdb(const std::string& path, const std::string& wanted, std::uint64_t allowedBytes,
+              Progress* progress)
+        : mPath(path)
     {
         const CancelCheck cancel(progress, "read");
         cancel.update(0);
         guardRead(path, [&] {
-            Archive archive(path);
+            Archive archive(path, allowedBytes, cancel);
             mChosen = chooseEntry(path, archive.entries(), wanted);
+            checkPointsFit(path, archive.bytesOf(mChosen), allowedBytes);
             mGrid = readChosen(archive);
         });
         cancel.update(0.8);
@@ -343,10 +417,12 @@ std::vector<openvdb::GridBase::Ptr> LoadedVdb::readOtherGrids(Archive& archive,
             grids[i] = chosen;
             continue;
         }
-        guardRead(mPath, [&] { grids[i] = archive.read(i); });
+        // An instance of the chosen grid gets a tree without the new attribute.
         const auto parent = numbers.find(entries[i].instanceParent);
-        const bool isInstance = !entries[i].instanceParent.empty() && parent != numbers.end();
-        if (isInstance && parent->second != mChosen) grids[i]->setTree(grids[parent->second]->baseTreePtr());
+        const bool hasParent = !entries[i].instanceParent.empty() && parent != numbers.end() &&
+                               parent->second != mChosen && parent->second != i;
+        guardRead(mPath, [&] { grids[i] = hasParent ? archive.readWithoutParent(i) : archive.read(i); });
+        if (hasParent) grids[i]->setTree(grids[parent->second]->baseTreePtr());
     }
     return grids;
 }
@@ -357,7 +433,7 @@ void LoadedVdb::write(const std::string& path, Span<const std::uint32_t> counts,
     const CancelCheck cancel(progress, "write");
     cancel.update(0);
     std::optional<Archive> archive;
-    guardRead(mPath, [&] { archive.emplace(mPath); });
+    guardRead(mPath, [&] { archive.emplace(mPath, kAnyBytes, cancel); });
     const std::vector<VdbEntry>& entries = archive->entries();
     if (mChosen >= entries.size() || entries[mChosen].gridType != points::PointDataGrid::gridType()) {
         throw InputError(mPath + ": has changed since it was read; read it again");
@@ -402,10 +478,11 @@ void LoadedVdb::write(const std::string& path, Span<const std::uint32_t> counts,
 
 } // namespace
 
-std::unique_ptr<VdbFile> VdbFile::read(const std::string& path, const std::string& grid, Progress* progress)
+std::unique_ptr<VdbFile> VdbFile::read(const std::string& path, const std::string& grid,
+                                       std::uint64_t allowedBytes, Progress* progress)
 {
     openvdb::initialize();
-    return std::make_unique<LoadedVdb>(path, grid, progress);
+    return std::make_unique<LoadedVdb>(path, grid, allowedBytes, progress);
 }
 
 } // namespace vdb_nns

@@ -6,6 +6,7 @@
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/progress.h"
 
+#include <cstdint>
 #include <memory>
 #include <string>
 
@@ -15,9 +16,10 @@ class VdbFile {
 public:
     virtual ~VdbFile() = default;
 
-    // As PointFile::read(). Reads the chosen grid only.
+    // As PointFile::read(). Reads the chosen grid only; throws CapacityError where its bytes in the file, or all of a
+    // file without offsets, are more than `allowedBytes`.
     static std::unique_ptr<VdbFile> read(const std::string& path, const std::string& grid,
-                                         Progress* progress);
+                                         std::uint64_t allowedBytes, Progress* progress);
 
     // Keeps the grid's memory alive.
     virtual const ParticleView& view() const = 0;

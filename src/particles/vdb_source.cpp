@@ -156,6 +156,29 @@ const void* rawValuesBy(PositionCodec codec, const points::AttributeArray& array
     return rawValues<NullCodec>(array);
 }
 
+#if OPENVDB_LIBRARY_MAJOR_VERSION_NUMBER < 13 ||                                                             \
+    (OPENVDB_LIBRARY_MAJOR_VERSION_NUMBER == 13 && OPENVDB_LIBRARY_MINOR_VERSION_NUMBER < 2)
+bool isLoaded(const Leaf& leaf)
+{
+    return !leaf.buffer().isOutOfCore();
+}
+
+bool isLoaded(const points::AttributeArray& array)
+{
+    return array.isDataLoaded();
+}
+#else // Delayed loading went with 13.2, and so did what is out of core.
+bool isLoaded(const Leaf&)
+{
+    return true;
+}
+
+bool isLoaded(const points::AttributeArray&)
+{
+    return true;
+}
+#endif
+
 // Number of points of a leaf, from offsets that have been found sound.
 std::size_t checkOffsets(const points::PointDataGrid& grid, const Leaf& leaf, const VoxelOffset* ends)
 {
@@ -185,7 +208,7 @@ std::size_t checkOffsets(const points::PointDataGrid& grid, const Leaf& leaf, co
 // Checks a leaf and notes where its points are. Returns their number; leaves without points need no P.
 std::size_t readLeaf(const points::PointDataGrid& grid, const Leaf& leaf, LeafPoints& out)
 {
-    if (leaf.buffer().isOutOfCore()) {
+    if (!isLoaded(leaf)) {
         throw InputError(gridText(grid) + "the leaf at " + coordText(leaf.origin()) +
                          " is out of core; open the file without delayed loading");
     }
@@ -204,7 +227,7 @@ std::size_t readLeaf(const points::PointDataGrid& grid, const Leaf& leaf, LeafPo
         throw InputError(gridText(grid) + "P has " + std::to_string(array.stride()) +
                          " values a point instead of one");
     }
-    if (!array.isDataLoaded()) {
+    if (!isLoaded(array)) {
         throw InputError(gridText(grid) + "P of the leaf at " + coordText(leaf.origin()) +
                          " is out of core; open the file without delayed loading");
     }

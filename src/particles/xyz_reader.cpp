@@ -26,7 +26,7 @@ struct Fault {
 struct Chunk {
     const char* begin;
     const char* end;
-    std::size_t lines; // comments and blank ones too
+    std::size_t points;
     std::vector<double> values;
     std::optional<Fault> fault; // the first one of the chunk
 };
@@ -76,24 +76,41 @@ const char* readNumber(const char*& next, const char* end, double& value)
     return nullptr;
 }
 
+// Calls use(line, first, lineEnd) for each line that is neither blank nor a comment, with the first character that says
+// something, until it returns false.
+template <typename Use>
+void forEachDataLine(const char* begin, const char* end, const Use& use)
+{
+    for (const char* line = begin; line != end;) {
+        const char* const lineEnd = findLineEnd(line, end);
+        const char* const first = skipBlanks(line, lineEnd);
+        if (first != lineEnd && *first != '#' && !use(line, first, lineEnd)) return;
+        line = lineEnd == end ? lineEnd : lineEnd + 1;
+    }
+}
+
+void countPoints(Chunk& chunk)
+{
+    forEachDataLine(chunk.begin, chunk.end, [&](const char*, const char*, const char*) {
+        ++chunk.points;
+        return true;
+    });
+}
+
 void readChunk(Chunk& chunk, const char* fileBegin)
 {
-    chunk.values.reserve(3 * chunk.lines);
-    for (const char* line = chunk.begin; line != chunk.end;) {
-        const char* const lineEnd = findLineEnd(line, chunk.end);
-        const char* next = skipBlanks(line, lineEnd);
-        if (next != lineEnd && *next != '#') {
-            for (int k = 0; k < 3; ++k) {
-                double value = 0;
-                if (const char* const what = readNumber(next, lineEnd, value)) {
-                    chunk.fault = Fault{static_cast<std::size_t>(line - fileBegin), what};
-                    return;
-                }
-                chunk.values.push_back(value);
+    chunk.values.reserve(3 * chunk.points);
+    forEachDataLine(chunk.begin, chunk.end, [&](const char* line, const char* next, const char* lineEnd) {
+        for (int k = 0; k < 3; ++k) {
+            double value = 0;
+            if (const char* const what = readNumber(next, lineEnd, value)) {
+                chunk.fault = Fault{static_cast<std::size_t>(line - fileBegin), what};
+                return false;
             }
+            chunk.values.push_back(value);
         }
-        line = lineEnd == chunk.end ? lineEnd : lineEnd + 1;
-    }
+        return true;
+    });
 }
 
 std::vector<Chunk> cutIntoChunks(const char* begin, const char* end)
@@ -114,44 +131,43 @@ std::vector<Chunk> cutIntoChunks(const char* begin, const char* end)
 // Whether the first line that says something is one integer and nothing else.
 void refuseCountLine(const std::string& path, const char* begin, const char* end)
 {
-    for (const char* line = begin; line != end;) {
-        const char* const lineEnd = findLineEnd(line, end);
-        const char* const first = skipBlanks(line, lineEnd);
-        if (first != lineEnd && *first != '#') {
-            const char* last = first + (*first == '+' || *first == '-' ? 1 : 0);
-            while (last != lineEnd && *last >= '0' && *last <= '9') ++last;
-            const char* const rest = skipBlanks(last, lineEnd);
-            if (last != first && (rest == lineEnd || *rest == '#')) {
-                throw InputError(
-                    path + ": line " + std::to_string(1 + std::count(begin, line, '\n')) +
-                    " is one integer, " + shown(first, last) +
-                    ", as in chemistry's .xyz, which is not supported; remove the count, the comment " +
-                    "line and the names so that each line has three numbers");
-            }
-            return;
+    forEachDataLine(begin, end, [&](const char* line, const char* first, const char* lineEnd) {
+        const char* last = first + (*first == '+' || *first == '-' ? 1 : 0);
+        while (last != lineEnd && *last >= '0' && *last <= '9') ++last;
+        const char* const rest = skipBlanks(last, lineEnd);
+        if (last != first && (rest == lineEnd || *rest == '#')) {
+            throw InputError(
+                path + ": line " + std::to_string(1 + std::count(begin, line, '\n')) + " is one integer, " +
+                shown(first, last) +
+                ", as in chemistry's .xyz, which is not supported; remove the count, the comment " +
+                "line and the names so that each line has three numbers");
         }
-        line = lineEnd == end ? lineEnd : lineEnd + 1;
-    }
+        return false;
+    });
 }
 
 } // namespace
 
-PositionArray parseXyz(const std::string& path, FileBytes bytes, std::uint64_t allowedBytes)
+PositionArray parseXyz(const std::string& path, FileBytes bytes, std::uint64_t allowedBytes,
+                       const CancelCheck& cancel)
 {
     const char* const begin = reinterpret_cast<const char*>(bytes.data());
     const char* const end = begin + bytes.size();
     refuseCountLine(path, begin, end);
 
     std::vector<Chunk> chunks = cutIntoChunks(begin, end);
-    tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t i) {
-        Chunk& chunk = chunks[i];
-        chunk.lines = 1 + static_cast<std::size_t>(std::count(chunk.begin, chunk.end, '\n'));
-    });
-    std::uint64_t lines = 0;
-    for (const Chunk& chunk : chunks) lines += chunk.lines;
+    const auto forEachChunk = [&](const auto& use) {
+        tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t i) {
+            cancel.check();
+            use(i);
+        });
+    };
+    forEachChunk([&](std::size_t i) { countPoints(chunks[i]); });
+    std::uint64_t points = 0;
+    for (const Chunk& chunk : chunks) points += chunk.points;
     // Read by chunks, then put together.
-    checkPointsFit(path, 2 * lines * 3 * sizeof(double), allowedBytes);
-    tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t i) { readChunk(chunks[i], begin); });
+    checkPointsFit(path, 2 * points * 3 * sizeof(double), allowedBytes);
+    forEachChunk([&](std::size_t i) { readChunk(chunks[i], begin); });
 
     PositionArray result;
     std::vector<std::size_t> starts(1, 0);
@@ -169,8 +185,12 @@ PositionArray parseXyz(const std::string& path, FileBytes bytes, std::uint64_t a
         throw InputError(path + ": " + std::to_string(starts.back() / 3) + " points are more than the " +
                          std::to_string(kMaxFilePoints) + " that fit; split the file");
     }
-    result.doubles.resize(starts.back());
-    tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t i) {
+    result.doubles.reserve(starts.back());
+    for (const std::size_t start : starts) {
+        cancel.check();
+        result.doubles.resize(start);
+    }
+    forEachChunk([&](std::size_t i) {
         std::copy(chunks[i].values.begin(), chunks[i].values.end(), result.doubles.begin() + starts[i]);
         std::vector<double>().swap(chunks[i].values);
     });

@@ -1,6 +1,8 @@
 // See cgroup_memory.h.
 #include "util/cgroup_memory.h"
 
+#include "util/number_file.h"
+
 #include <algorithm>
 #include <fstream>
 #include <initializer_list>
@@ -31,13 +33,6 @@ struct Hierarchy {
     std::string mountPoint, mountRoot, group;
 };
 
-std::uint64_t readNumber(const std::string& path, std::uint64_t otherwise)
-{
-    std::ifstream file(path);
-    std::uint64_t value = 0;
-    return file >> value ? value : otherwise; // "max" is no number
-}
-
 std::map<std::string, std::uint64_t> readStatistics(const std::string& path)
 {
     std::map<std::string, std::uint64_t> values;
@@ -52,7 +47,7 @@ std::uint64_t freeBytesOf(const std::string& folder, const Interface& files)
     std::map<std::string, std::uint64_t> statistics = readStatistics(folder + "/memory.stat");
     std::uint64_t limit = kUnlimited;
     for (const char* name : files.limits)
-        limit = std::min(limit, readNumber(folder + "/" + name, kUnlimited));
+        limit = std::min(limit, readNumber(folder + "/" + name, kUnlimited)); // "max" is no number
     // Version 1 tells the least limit of all groups above, of those that are not seen from a container too.
     const auto above = statistics.find("hierarchical_memory_limit");
     if (above != statistics.end()) limit = std::min(limit, above->second);

@@ -2,6 +2,7 @@
 #include "util/memory.h"
 
 #include "util/cgroup_memory.h"
+#include "util/number_file.h"
 #include "vdb_nns/error.h"
 
 #include <algorithm>
@@ -20,13 +21,6 @@ namespace vdb_nns {
 namespace {
 
 constexpr std::size_t kHugePage = std::size_t(2) << 20;
-
-std::uint64_t readNumber(const char* path, std::uint64_t otherwise)
-{
-    std::ifstream file(path);
-    std::uint64_t value = 0;
-    return file >> value ? value : otherwise;
-}
 
 // What a limit on the address space (ulimit -v) leaves.
 std::uint64_t addressSpaceBytes()

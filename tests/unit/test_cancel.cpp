@@ -1,15 +1,20 @@
-// How soon a step ends that is asked to stop, where its pieces are as large as they come: many particles at one point.
+// How soon a step ends that is asked to stop, where its pieces are as large as they come: many particles at one point. And
+// how often the readers of files ask.
 #include "unit/workload_cases.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/executor.h"
 #include "vdb_nns/point_file.h"
+#include "vdb_nns/scene.h"
+#include "verify/lists_reader.h"
 
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <cstdio>
 #include <cstdlib>
 #include <ctime>
 #include <filesystem>
+#include <fstream>
 #include <functional>
 #include <string>
 #include <vector>
@@ -20,10 +25,9 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// 0.3 s are promised of each thread that has a processor to itself. Time is the processors', so that other work does not
-// count, and memory never used before may cost as much again.
+// Promised of each thread that has a processor to itself. Time is the processors', so that other work does not count.
 constexpr int kThreads = 2;
-constexpr double kMostSeconds = 2 * 0.3 * kThreads;
+constexpr double kMostSeconds = 0.3 * kThreads;
 
 // Of all threads of this process together.
 double processorSeconds()
@@ -44,6 +48,18 @@ public:
 
 private:
     const double mStop;
+};
+
+// Asks to stop when it is asked so many times.
+class StopAtQuestion final : public Progress {
+public:
+    explicit StopAtQuestion(int number) : mNumber(number) {}
+    void update(const char*, double) override {}
+    bool cancelled() const override { return ++mQuestions >= mNumber; }
+
+private:
+    const int mNumber;
+    mutable std::atomic<int> mQuestions{0};
 };
 
 // The step takes several times as long as it is given.
@@ -126,11 +142,60 @@ TEST(Cancel, StopsSearchesOfFewPoints)
     }
 }
 
-TEST(Cancel, StopsWhatIsMadeOfLists)
+class CancelWithFiles : public ::testing::Test {
+protected:
+    CancelWithFiles()
+    {
+        std::string name = (fs::temp_directory_path() / "vdb_nns_cancel_XXXXXX").string();
+        mFolder = ::mkdtemp(name.data());
+    }
+    ~CancelWithFiles() override { fs::remove_all(mFolder); }
+
+    std::string path(const std::string& name) const { return (mFolder / name).string(); }
+
+    // Reading asks in each MB of the file, which takes some milliseconds.
+    void expectAsks(const std::string& name, const std::function<void(Progress*)>& read) const
+    {
+        const auto megabytes = static_cast<int>(fs::file_size(path(name)) >> 20);
+        ASSERT_GE(megabytes, 4);
+        // An array file's bytes come by 8 MB.
+        StopAtQuestion progress(3 + megabytes + megabytes / 8);
+        EXPECT_THROW(read(&progress), Cancelled) << name;
+    }
+
+    void expectAsks(const std::string& name) const
+    {
+        expectAsks(name, [&](Progress* progress) { PointFile::read(path(name), {"", 0, progress}); });
+    }
+
+    fs::path mFolder;
+};
+
+TEST_F(CancelWithFiles, StopsReadingTexts)
 {
-    std::string name = (fs::temp_directory_path() / "vdb_nns_cancel_XXXXXX").string();
-    const fs::path folder = ::mkdtemp(name.data());
-    const std::string path = (folder / "lists.npz").string();
+    constexpr std::size_t kParticles = 250'000;
+    std::string lines;
+    for (std::size_t i = 0; i < kParticles; ++i) lines += "0.1234567 0.2345678 0.3456789\n";
+    std::ofstream(path("text.xyz")) << lines;
+    expectAsks("text.xyz");
+    std::ofstream(path("text.ply")) << "ply\nformat ascii 1.0\nelement vertex " << kParticles
+                                    << "\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+                                    << lines;
+    expectAsks("text.ply");
+}
+
+TEST_F(CancelWithFiles, StopsReadingVdb)
+{
+    SceneOptions options;
+    options.name = "block";
+    options.count = 500'000;
+    writeScene(path("block.vdb"), makeScene(options), options);
+    expectAsks("block.vdb");
+}
+
+TEST_F(CancelWithFiles, StopsWhatIsMadeOfLists)
+{
+    const std::string output = path("lists.npz");
     constexpr std::size_t kParticles = 8'000; // 64 M pairs
     const std::vector<float> xyz(3 * kParticles, 0.25f);
     SearchEngine engine;
@@ -138,17 +203,26 @@ TEST(Cancel, StopsWhatIsMadeOfLists)
         const NeighborLists lists = engine.findNeighbors(ParticleView::fromArray(xyz.data(), kParticles), 1,
                                                          optionsOf(encoding, nullptr));
         expectStops("npz", 0.01, [&](Progress* progress) {
-            writeNpz(path, lists, ListValues::kDistance, {true}, progress);
+            writeNpz(output, lists, ListValues::kDistance, {true}, progress);
         });
         expectStops("npz without lists", 0.01, [&](Progress* progress) {
-            writeNpzDirect(path, engine, lists, ListValues::kDistance, {true}, 0,
+            writeNpzDirect(output, engine, lists, ListValues::kDistance, {true}, 0,
                            optionsOf(encoding, progress));
         });
         expectStops("csr", 0.01, [&](Progress* progress) { lists.toCsr(progress); });
         expectStops("checksum", 0.002, [&](Progress* progress) { lists.checksum(progress); });
     }
-    EXPECT_TRUE(fs::is_empty(folder));
-    fs::remove_all(folder);
+    EXPECT_TRUE(fs::is_empty(mFolder));
+}
+
+TEST_F(CancelWithFiles, StopsReadingLists)
+{
+    constexpr std::size_t kParticles = 1'500; // 2 M pairs
+    const std::vector<float> xyz(3 * kParticles, 0.25f);
+    const NeighborLists lists = SearchEngine().findNeighbors(ParticleView::fromArray(xyz.data(), kParticles),
+                                                             1, optionsOf(Encoding::kMask, nullptr));
+    writeNpz(path("lists.npz"), lists, ListValues::kConnectivity);
+    expectAsks("lists.npz", [&](Progress* progress) { cli::ListsFile::open(path("lists.npz"), progress); });
 }
 
 } // namespace

@@ -481,6 +481,42 @@ TEST_F(PointFileTest, noticesTruncationAnywhere)
     checkCuts(contents(path("stream.vdb")));
 }
 
+TEST_F(PointFileTest, takesMemoryForTheChosenGridOnly)
+{
+    const openvdb::FloatGrid::Ptr volume = openvdb::FloatGrid::create(1.0f);
+    volume->denseFill(openvdb::CoordBBox(Coord(0), Coord(99)), 2.0f); // 4 MB
+    const PointDataGrid::Ptr grid = makeGrid<points::NullCodec>(100);
+    const PointDataGrid::Ptr instance = openvdb::gridPtrCast<PointDataGrid>(grid->copyGrid());
+    instance->setName("instance");
+    writeFile("a.vdb", {volume, grid, instance}, 0);
+    ASSERT_GT(fs::file_size(path("a.vdb")), 4'000'000u);
+    for (const char* const name : {"points", "instance"}) {
+        EXPECT_EQ(PointFile::read(path("a.vdb"), {name, 2'000'000, nullptr}).view().size(), 100u);
+        EXPECT_THROW(PointFile::read(path("a.vdb"), {name, 10'000, nullptr}), CapacityError);
+    }
+    // Written as a stream, all of it is read.
+    std::ofstream out(path("stream.vdb"), std::ios::binary);
+    openvdb::io::Stream stream(out);
+    stream.setCompression(0);
+    stream.write(openvdb::GridCPtrVec{volume, grid});
+    out.close();
+    EXPECT_THROW(PointFile::read(path("stream.vdb"), {"", 2'000'000, nullptr}), CapacityError);
+}
+
+// A damaged file, which would look as if it had no points.
+TEST_F(PointFileTest, refusesAnInstanceWithoutATree)
+{
+    const PointDataGrid::Ptr parent = makeGrid<points::NullCodec>(100, "parent");
+    const PointDataGrid::Ptr shares = openvdb::gridPtrCast<PointDataGrid>(parent->copyGrid());
+    shares->setName("shares");
+    std::string bytes = contents(writeFile("a.vdb", {parent, shares}, 0));
+    EXPECT_EQ(PointFile::read(path("a.vdb"), {"shares"}).view().size(), 100u);
+    bytes.replace(bytes.rfind("parent"), 6, "shares");
+    create(path("a.vdb"), bytes);
+    EXPECT_THROW(PointFile::read(path("a.vdb"), {"shares"}), InputError);
+    EXPECT_EQ(PointFile::read(path("a.vdb"), {"parent"}).view().size(), 100u);
+}
+
 TEST_F(PointFileTest, choosesAGrid)
 {
     const PointDataGrid::Ptr a = makeGrid<points::NullCodec>(10, "a");

@@ -302,6 +302,14 @@ TEST(XyzReader, keepsTheOrderOverManyChunks)
     EXPECT_ERROR(parsedXyz(text), "line 300001 (byte " + std::to_string(text.size() - 8) + ")");
 }
 
+TEST(XyzReader, takesMemoryForPointsOnly)
+{
+    std::string text = "1 2 3\n";
+    for (int i = 0; i < 10000; ++i) text += i % 2 ? "#\n" : "\n";
+    EXPECT_EQ(parseXyz("a.xyz", bytesOf(text), 48).size(), 1u); // 3 doubles, twice
+    EXPECT_THROW(parseXyz("a.xyz", bytesOf(text), 47), CapacityError);
+}
+
 TEST(XyzReader, refusesOtherText)
 {
     EXPECT_ERROR(parsedXyz("3\ncomment\nH 0 0 0\n"), "line 1 is one integer, '3'");

@@ -105,7 +105,7 @@ int verifyFile(const VerifyFlags& flags, const VerifyOptions& options, Session& 
     const std::optional<double> suggested =
         flags.input.radius.empty() ? file.info().suggestedRadius : std::optional<double>();
     const double radius = chooseRadius(flags.input.radius, suggested, flags.input.path, flags.common.quiet);
-    const ListsFile lists = ListsFile::open(flags.lists);
+    const ListsFile lists = ListsFile::open(flags.lists, &progress);
     progress.begin("verify", 0.2, 1);
     const VerifyReport report = verifyLists(file.view(), radius, lists, options, &progress);
     throwIfStopped();

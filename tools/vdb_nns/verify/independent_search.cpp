@@ -4,6 +4,7 @@
 #include "cell_rows.h"
 #include "point_cells.h"
 #include "row_check.h"
+#include "throw_if_cancelled.h"
 #include "vdb_nns/error.h"
 
 #include <tbb/blocked_range.h>
@@ -37,7 +38,7 @@ public:
         if (!mProgress) return;
         const std::uint64_t all = mDone += rows;
         mProgress->update("verify", static_cast<double>(all) / static_cast<double>(mTotal));
-        if (mProgress->cancelled()) throw Cancelled("verify: cancelled");
+        throwIfCancelled(mProgress);
     }
 
 private:

@@ -2,6 +2,7 @@
 #include "lists_reader.h"
 
 #include "file_pieces.h"
+#include "throw_if_cancelled.h"
 #include "vdb_nns/error.h"
 #include "zip_members.h"
 
@@ -186,14 +187,14 @@ struct ListsFile::Data {
     std::uint64_t rows = 0, pairs = 0;
     mutable tbb::enumerable_thread_specific<RowCache> caches;
 
-    void readArrays();
-    void checkOffsets() const;
+    void readArrays(const Progress* progress);
+    void checkOffsets(const Progress* progress) const;
 };
 
-void ListsFile::Data::readArrays()
+void ListsFile::Data::readArrays(const Progress* progress)
 {
     const std::string& path = file.path();
-    const auto members = zipMembers(file);
+    const auto members = zipMembers(file, progress);
     const auto array = [&](const std::string& name, const std::map<std::string, std::uint64_t>& types,
                            std::size_t dimensions) {
         const auto member = members.find(name + ".npy");
@@ -220,12 +221,13 @@ void ListsFile::Data::readArrays()
     if (values.size != pairs) throw InputError(path + ": 'data' and 'indices' differ in length");
 }
 
-void ListsFile::Data::checkOffsets() const
+void ListsFile::Data::checkOffsets(const Progress* progress) const
 {
     const std::string& path = file.path();
     std::int64_t last = 0;
     std::vector<std::int64_t> block(std::min(kBlockElements, offsets.size));
     for (std::uint64_t first = 0; first < offsets.size; first += block.size()) {
+        throwIfCancelled(progress);
         block.resize(std::min<std::uint64_t>(block.size(), offsets.size - first));
         readIntegers(file, offsets, first, block.size(), block.data());
         if (first == 0 && block[0] != 0) throw InputError(path + ": 'indptr' does not begin with 0");
@@ -242,11 +244,11 @@ void ListsFile::Data::checkOffsets() const
     }
 }
 
-ListsFile ListsFile::open(const std::string& path)
+ListsFile ListsFile::open(const std::string& path, const Progress* progress)
 {
     const auto data = std::make_shared<Data>(path);
-    data->readArrays();
-    data->checkOffsets();
+    data->readArrays(progress);
+    data->checkOffsets(progress);
     ListsFile file;
     file.mData = data;
     return file;

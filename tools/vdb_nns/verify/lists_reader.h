@@ -3,6 +3,8 @@
 // particles is not judged here but by independent_search.h. Knows the file format only.
 #pragma once
 
+#include "vdb_nns/progress.h"
+
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -18,7 +20,8 @@ public:
     // Cost: one pass over the file for its checksums.
     // @throws InputError: no such file, not a ZIP, a member missing, double, compressed, outside the file or with a
     //         wrong CRC-32; a wrong type; not square; row offsets that decrease or do not cover the indices
-    static ListsFile open(const std::string& path);
+    // @throws Cancelled
+    static ListsFile open(const std::string& path, const Progress* progress = nullptr);
 
     const std::string& path() const;
     std::uint64_t rowCount() const;

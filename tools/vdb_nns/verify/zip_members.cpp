@@ -1,6 +1,7 @@
 // See zip_members.h.
 #include "zip_members.h"
 
+#include "throw_if_cancelled.h"
 #include "vdb_nns/error.h"
 
 #include <boost/crc.hpp>
@@ -26,7 +27,7 @@ struct Directory {
 
 class ZipReader {
 public:
-    explicit ZipReader(const FilePieces& file) : mFile(file) {}
+    ZipReader(const FilePieces& file, const Progress* progress) : mFile(file), mProgress(progress) {}
 
     std::map<std::string, ByteRange> members() const
     {
@@ -34,6 +35,7 @@ public:
         const Directory directory = findDirectory();
         std::uint64_t at = directory.offset;
         for (std::uint64_t k = 0; k < directory.entries; ++k) {
+            throwIfCancelled(mProgress);
             const Entry entry = readEntry(at);
             if (!members.emplace(entry.name, locate(entry)).second) fail("holds '" + entry.name + "' twice");
         }
@@ -78,6 +80,7 @@ private:
         boost::crc_32_type crc;
         std::vector<char> block(std::min<std::uint64_t>(range.size, kBlockBytes));
         for (std::uint64_t done = 0; done < range.size; done += block.size()) {
+            throwIfCancelled(mProgress);
             block.resize(std::min<std::uint64_t>(kBlockBytes, range.size - done));
             mFile.read(range.begin + done, block.data(), block.size());
             crc.process_bytes(block.data(), block.size());
@@ -159,13 +162,14 @@ private:
     }
 
     const FilePieces& mFile;
+    const Progress* mProgress;
 };
 
 } // namespace
 
-std::map<std::string, ByteRange> zipMembers(const FilePieces& file)
+std::map<std::string, ByteRange> zipMembers(const FilePieces& file, const Progress* progress)
 {
-    return ZipReader(file).members();
+    return ZipReader(file, progress).members();
 }
 
 } // namespace vdb_nns::cli

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "file_pieces.h"
+#include "vdb_nns/progress.h"
 
 #include <cstdint>
 #include <map>
@@ -13,7 +14,7 @@ struct ByteRange {
     std::uint64_t begin = 0, size = 0;
 };
 
-// @throws InputError that names the file, for anything that is not such a ZIP
-std::map<std::string, ByteRange> zipMembers(const FilePieces& file);
+// @throws InputError that names the file, for anything that is not such a ZIP; Cancelled
+std::map<std::string, ByteRange> zipMembers(const FilePieces& file, const Progress* progress = nullptr);
 
 } // namespace vdb_nns::cli
