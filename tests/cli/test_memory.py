@@ -147,7 +147,8 @@ class TooLittle(CliCase):
                 with self.subTest(command=command):
                     self.fails(4, *command, says=[name, "need 1099511627776 bytes", "allowed are"])
             os.truncate(path, 10 ** 9)
-            self.fails(4, "search", path, "-r", "1", "--host-memory", "500MB", says=[name, "need 1000000000 bytes"])
+            for command in ("search", "plan", "bench"):
+                self.fails(4, command, path, "-r", "1", "--host-memory", "500MB", says=[name, "need 1000000000 bytes"])
             os.remove(path)
 
     def test_text_whose_positions_do_not_fit(self):
@@ -160,8 +161,8 @@ class TooLittle(CliCase):
         for size in ("10K", "20MB"):
             self.fails(4, "search", path, "-o", self.path("x.npz"), "--host-memory", size,
                        says=["the program itself takes", "bytes", "--host-memory"])
-        self.fails(4, "search", path, "-o", self.path("x.npz"), "--host-memory", "60MB",
-                   says=["points alone need", "bytes", "--host-memory"])
+        for command in (["search", path, "-o", self.path("x.npz")], ["plan", path]):
+            self.fails(4, *command, "--host-memory", "60MB", says=["points alone need", "bytes", "--host-memory"])
 
     def test_less_than_the_grid(self):
         path = self.scene("block", 300000)

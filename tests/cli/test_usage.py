@@ -90,8 +90,9 @@ class BadFlags(CliCase):
         path = self.scene()
         for threads in ("-1", "1025", "two"):
             self.fails(2, "search", path, "-T", threads, says=["--threads", threads, "0 to 1024"])
-        self.fails(4, "search", path, "--host-memory", "64", says=["--host-memory", "64 bytes", "MiB before", "4G"])
-        self.fails(4, "search", path, "--host-memory", "2MB", says=["2000000 bytes", "the program itself"])
+        for command in ("search", "plan", "bench"):
+            self.fails(4, command, path, "--host-memory", "64", says=["--host-memory", "64 bytes", "MiB before", "4G"])
+            self.fails(4, command, path, "--host-memory", "2MB", says=["2000000 bytes", "the program itself"])
 
     def test_values_that_work(self):
         path = self.scene()

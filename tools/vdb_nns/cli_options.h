@@ -57,6 +57,7 @@ struct EngineFlags {
     std::string hostMemory, cellSize = "auto";
 };
 void addEngineFlags(CLI::App& app, EngineFlags& flags);
+/// @throws InvalidInput; CapacityError for less memory than the program itself takes
 SearchOptions searchOptions(const EngineFlags& flags, Progress* progress);
 
 /// Parameters of a scene.
