@@ -145,7 +145,11 @@ class TooLittle(CliCase):
                 self.skipTest(f"no sparse file of 1 TiB: {error}")
             for command in (["info", path], ["search", path, "-r", "1"], ["verify", path, "lists.npz", "-r", "1"]):
                 with self.subTest(command=command):
-                    self.fails(4, *command, says=[name, "need 1099511627776 bytes", "allowed are"])
+                    message = self.fails(4, *command, says=[name, "need 1099511627776 bytes", "allowed are"]).err
+                    # The advice once, and no flag that the command has not.
+                    flags = "; the flags are --host-memory, --device-memory, --encoding and --radius"
+                    self.assertTrue(message.endswith(": split the file, or let it have more memory" +
+                                                     (flags if command[0] == "search" else "") + "\n"), message)
             os.truncate(path, 10 ** 9)
             for command in ("search", "plan", "bench"):
                 self.fails(4, command, path, "-r", "1", "--host-memory", "500MB", says=[name, "need 1000000000 bytes"])

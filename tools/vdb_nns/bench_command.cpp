@@ -400,7 +400,6 @@ BenchDevices modelDevices(const BenchFlags& flags, const BenchPlan& plan, int th
 
 int runBenchCommand(const BenchFlags& flags, Session& session)
 {
-    session.memoryAdvice = kMemoryFlags;
     BenchPlan plan = checkFlags(flags);
     if (!flags.chart.empty()) {
         const std::string missing = missingForCharts();

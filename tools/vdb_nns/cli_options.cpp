@@ -212,7 +212,9 @@ void checkNotInput(const std::string& output, const std::vector<std::string>& in
 void checkOutputs(std::vector<std::string> paths, const std::vector<std::string>& inputs,
                   const CommonFlags& flags)
 {
-    if (!flags.json.empty() && !jsonToStdout(flags)) {
+    if (jsonToStdout(flags)) {
+        requireStdout();
+    } else if (!flags.json.empty()) {
         checkNotInput(flags.json, inputs);
         paths.push_back(flags.json);
     }

@@ -137,7 +137,6 @@ int planFile(const PlanFlags& flags, SearchOptions options, const DeviceRequest&
 
 int runPlanCommand(const PlanFlags& flags, Session& session)
 {
-    session.memoryAdvice = kMemoryFlags;
     const int wanted = threadCount(flags.common);
     SearchOptions options = checkFlags(flags);
     ThreadLimit threads(wanted);

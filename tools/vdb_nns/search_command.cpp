@@ -386,7 +386,6 @@ int searchFile(const SearchFlags& flags, SearchPlan plan, int threads, Session& 
 
 int runSearchCommand(const SearchFlags& flags, Session& session)
 {
-    session.memoryAdvice = kMemoryFlags;
     SearchPlan plan = checkFlags(flags);
     ThreadLimit threads(plan.threads);
     plan.devices = deviceRequest(flags.device, threads.count());
