@@ -85,8 +85,8 @@ class Interrupt(CliCase):
         process.communicate()
         left = set(os.listdir(self.folder)) - set(before)
         self.assertEqual(len(left), 1)
-        self.assertRegex(left.pop(), r"^x\.npz\.vdb_nns-[0-9a-f]+-[0-9a-f]+\.tmp$")
-        other = self.text("y.npz.vdb_nns-1-0.tmp", "of another target")
+        self.assertRegex(left.pop(), rf"^x\.npz\.vdb_nns-{cli_case.host_mark()}-[0-9a-f]+-[0-9a-f]+\.tmp$")
+        other = self.text(f"y.npz.vdb_nns-{cli_case.host_mark()}-1-0.tmp", "of another target")
         self.succeeds(*args, "-q")
         self.assertEqual(sorted(os.listdir(self.folder)), sorted([*before, "x.npz", os.path.basename(other)]))
 
