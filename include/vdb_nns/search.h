@@ -38,9 +38,10 @@ struct SearchStatistics {
 /// are gone. One thread at a time may call it, and none while it runs, a visitor of its own included; inside it uses the
 /// TBB arena that the caller is in.
 ///
-/// What may be nested: every function of the library may be called from inside of TBB tasks, for a thread that waits in it
-/// takes no task of its caller's. So an engine for each thread, tbb::enumerable_thread_specific<SearchEngine>, is fine for
-/// frames in a parallel loop. Visitors and a Progress may run parallel work, and it is kept apart from the engine's.
+/// What may be nested: every function of the library may be called inside TBB tasks. While a thread waits in
+/// such a call, it runs none of the caller's other tasks. So an engine for each thread,
+/// tbb::enumerable_thread_specific<SearchEngine>, is fine for frames in a parallel loop. Visitors and a Progress
+/// may run parallel work of their own.
 ///
 /// Membership (all functions here): i and j are neighbors iff i != j and their distance is <= radius in real
 /// arithmetic; no rounding decides. Self is excluded by number: particles at the same place are neighbors.

@@ -14,6 +14,7 @@
 #include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
+#include <zlib.h>
 
 namespace vdb_nns {
 
@@ -32,21 +33,23 @@ TemporarySlot gSlots[64];
 
 TemporarySlot* fillSlot(const std::string& name)
 {
+    if (name.size() >= sizeof TemporarySlot::name) return nullptr; // open() will not take it
     for (TemporarySlot& slot : gSlots) {
         int expected = TemporarySlot::kFree;
         if (!slot.state.compare_exchange_strong(expected, TemporarySlot::kFilling)) continue;
         slot.process = ::getpid();
-        slot.name[name.copy(slot.name, sizeof slot.name - 1)] = '\0'; // open() took it: it is shorter
+        slot.name[name.copy(slot.name, name.size())] = '\0';
         slot.state.store(TemporarySlot::kHeld);
         return &slot;
     }
     return nullptr;
 }
 
-void freeSlot(TemporarySlot& slot)
+void freeSlot(TemporarySlot* slot)
 {
+    if (!slot) return;
     int expected = TemporarySlot::kHeld;
-    slot.state.compare_exchange_strong(expected, TemporarySlot::kFree);
+    slot->state.compare_exchange_strong(expected, TemporarySlot::kFree);
 }
 
 // Leaves room for the rest within the 255 bytes of a file name.
@@ -54,7 +57,18 @@ constexpr std::size_t kMaxBaseNameBytes = 200;
 constexpr const char* kMark = ".vdb_nns-";
 constexpr const char* kEnd = ".tmp";
 
-// What all temporary names of a target begin with: a folder and the beginning of a name.
+// Stands for this host: its name may be long and have any character.
+std::string hostMark()
+{
+    char name[HOST_NAME_MAX + 1] = {};
+    ::gethostname(name, sizeof name - 1);
+    char text[16];
+    const auto bytes = static_cast<uInt>(std::strlen(name));
+    std::snprintf(text, sizeof text, "%lx", crc32(0, reinterpret_cast<const Bytef*>(name), bytes));
+    return text;
+}
+
+// What all temporary names of a target that this host writes begin with: a folder and the beginning of a name.
 struct Stem {
     std::string folder, name; // the folder with its slash, or empty
 };
@@ -63,7 +77,7 @@ Stem stemOf(const std::string& target)
 {
     const std::size_t slash = target.rfind('/');
     const std::size_t begin = slash == std::string::npos ? 0 : slash + 1;
-    return {target.substr(0, begin), target.substr(begin, kMaxBaseNameBytes) + kMark};
+    return {target.substr(0, begin), target.substr(begin, kMaxBaseNameBytes) + kMark + hostMark() + "-"};
 }
 
 // Unique within the machine at one time: process, and a count within the process.
@@ -127,18 +141,24 @@ TemporaryFile::TemporaryFile(const std::string& target, unsigned mode)
     removeLeftovers(stem);
     for (int attempt = 0; attempt < 1000; ++attempt) {
         const std::string name = stem.folder + stem.name + temporaryEnding();
+        TemporarySlot* const slot = fillSlot(name); // a signal may come as soon as there is a file
         const int descriptor = ::open(name.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, mode);
-        if (descriptor < 0 && errno == EEXIST) continue;
-        if (descriptor < 0) throw std::system_error(errno, std::generic_category());
+        if (descriptor < 0) {
+            const int error = errno;
+            freeSlot(slot);
+            if (error == EEXIST) continue;
+            throw std::system_error(error, std::generic_category());
+        }
         // Before it was held, another process may have taken it for left over. Some file systems have no locks; there
         // nobody can hold it, and nobody removes it.
         const bool isRefused = ::flock(descriptor, LOCK_EX | LOCK_NB) != 0 && errno == EWOULDBLOCK;
         if (!isRefused && isNameOf(name, descriptor)) {
             mDescriptor = descriptor;
             mName = name;
-            mSlot = fillSlot(name);
+            mSlot = slot;
             return;
         }
+        freeSlot(slot);
         ::close(descriptor);
     }
     throw std::system_error(EEXIST, std::generic_category());
@@ -147,7 +167,7 @@ TemporaryFile::TemporaryFile(const std::string& target, unsigned mode)
 TemporaryFile::~TemporaryFile()
 {
     if (!mIsRenamed) ::unlink(mName.c_str());
-    if (mSlot) freeSlot(*mSlot);
+    freeSlot(mSlot);
     ::close(mDescriptor);
 }
 

@@ -1,10 +1,12 @@
 // The file that an output is written to before it takes its name.
 //
-// It stands beside the target as TARGET.vdb_nns-PROCESS-COUNT.tmp, and its writer holds a lock on it (flock) that ends with the
-// process, however that ends: a file of such a name that nobody holds was left by a process that was killed, and the next one
-// that writes the target removes it. Signals that can be caught need leave none: removeTemporaryFiles().
-// (O_TMPFILE would leave none ever. But not every file system has it, and a file that replaces another needs a name all the
-// same, so that it would come on top of this.)
+// It stands beside the target as TARGET.vdb_nns-HOST-PROCESS-COUNT.tmp, and its writer holds a lock on it
+// (flock) that ends with the process, however that ends: a file of such a name that nobody holds was left by
+// a process that was killed, and the next one that writes the target removes it. On network file systems a
+// lock may be seen on its own host alone, so each host removes its own: HOST is the CRC-32 of its name.
+// Signals that can be caught need leave none: removeTemporaryFiles().
+// (O_TMPFILE would leave none ever. But not every file system has it, and a file that replaces another needs
+// a name all the same, so that it would come on top of this.)
 #pragma once
 
 #include <string>

@@ -242,7 +242,7 @@ void checkPointsFit(const std::string& path, std::uint64_t neededBytes, std::uin
     if (neededBytes <= allowedBytes) return;
     throw CapacityError(path + ": its points alone need " + std::to_string(neededBytes) +
                             " bytes of memory to be read, allowed are " + std::to_string(allowedBytes) +
-                            ": allow more host memory, split the file, or use a machine with more",
+                            ": split the file, or let it have more memory",
                         neededBytes, allowedBytes);
 }
 

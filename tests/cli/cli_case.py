@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import tempfile
 import unittest
+import zlib
 
 import numpy as np
 
@@ -37,6 +38,11 @@ def watched(**variables):
     """The environment of a program whose system calls are watched: see watch_calls.cpp."""
     library = os.path.join(os.path.dirname(os.path.abspath(MAKE_FIXTURES)), "libvdb_nns_watch_calls.so")
     return dict(os.environ, LD_PRELOAD=library, **variables)
+
+
+def host_mark():
+    """What stands for this host in the names of temporary files."""
+    return f"{zlib.crc32(os.uname().nodename.encode()):x}"
 
 
 def limit_file_size(size):

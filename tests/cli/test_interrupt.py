@@ -62,10 +62,12 @@ class Interrupt(CliCase):
         return [name for name in os.listdir(self.folder) if "tmp" in name]
 
     def test_killed_while_writing(self):
-        """SIGQUIT, and a second signal, kill at once and leave nothing either."""
+        """A second signal, and signals whose default is to end the process, kill at once and leave nothing either."""
         args = self.long_writing()
         before = sorted(os.listdir(self.folder))
-        for numbers in ([signal.SIGQUIT], [signal.SIGINT, signal.SIGTERM], [signal.SIGHUP, signal.SIGINT]):
+        for numbers in ([signal.SIGINT, signal.SIGTERM], [signal.SIGHUP, signal.SIGINT], [signal.SIGQUIT],
+                        [signal.SIGABRT], [signal.SIGUSR1], [signal.SIGUSR2], [signal.SIGXCPU], [signal.SIGALRM],
+                        [signal.SIGVTALRM], [signal.SIGPROF]):
             process = self.writing(*args)
             process.send_signal(signal.SIGSTOP) # the signals are there together
             for number in numbers:
@@ -83,8 +85,8 @@ class Interrupt(CliCase):
         process.communicate()
         left = set(os.listdir(self.folder)) - set(before)
         self.assertEqual(len(left), 1)
-        self.assertRegex(left.pop(), r"^x\.npz\.vdb_nns-[0-9a-f]+-[0-9a-f]+\.tmp$")
-        other = self.text("y.npz.vdb_nns-1-0.tmp", "of another target")
+        self.assertRegex(left.pop(), rf"^x\.npz\.vdb_nns-{cli_case.host_mark()}-[0-9a-f]+-[0-9a-f]+\.tmp$")
+        other = self.text(f"y.npz.vdb_nns-{cli_case.host_mark()}-1-0.tmp", "of another target")
         self.succeeds(*args, "-q")
         self.assertEqual(sorted(os.listdir(self.folder)), sorted([*before, "x.npz", os.path.basename(other)]))
 
@@ -102,10 +104,13 @@ class Interrupt(CliCase):
         self.assertEqual(process.returncode, 0)
         self.assertEqual(self.bytes(self.path("x.npz")), self.bytes(self.path("first.npz")))
 
-    def test_nohup(self):
-        args = self.long_writing()
-        with self.start(80, *args, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)) as process:
-            process.send_signal(signal.SIGHUP)
+    def test_ignored_on_entry(self):
+        """As by nohup."""
+        args, ignored = self.long_writing(), (signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1, signal.SIGALRM)
+        with self.start(80, *args, preexec_fn=lambda: [signal.signal(each, signal.SIG_IGN)
+                                                       for each in ignored]) as process:
+            for number in ignored:
+                process.send_signal(number)
             process.communicate()
         self.assertEqual(process.returncode, 0)
         self.assertTrue(os.path.exists(self.path("x.npz")))

@@ -145,9 +145,14 @@ class TooLittle(CliCase):
                 self.skipTest(f"no sparse file of 1 TiB: {error}")
             for command in (["info", path], ["search", path, "-r", "1"], ["verify", path, "lists.npz", "-r", "1"]):
                 with self.subTest(command=command):
-                    self.fails(4, *command, says=[name, "need 1099511627776 bytes", "allowed are"])
+                    message = self.fails(4, *command, says=[name, "need 1099511627776 bytes", "allowed are"]).err
+                    # The advice once, and no flag that the command has not.
+                    flags = "; the flags are --host-memory, --device-memory, --encoding and --radius"
+                    self.assertTrue(message.endswith(": split the file, or let it have more memory" +
+                                                     (flags if command[0] == "search" else "") + "\n"), message)
             os.truncate(path, 10 ** 9)
-            self.fails(4, "search", path, "-r", "1", "--host-memory", "500MB", says=[name, "need 1000000000 bytes"])
+            for command in ("search", "plan", "bench"):
+                self.fails(4, command, path, "-r", "1", "--host-memory", "500MB", says=[name, "need 1000000000 bytes"])
             os.remove(path)
 
     def test_text_whose_positions_do_not_fit(self):
@@ -160,8 +165,8 @@ class TooLittle(CliCase):
         for size in ("10K", "20MB"):
             self.fails(4, "search", path, "-o", self.path("x.npz"), "--host-memory", size,
                        says=["the program itself takes", "bytes", "--host-memory"])
-        self.fails(4, "search", path, "-o", self.path("x.npz"), "--host-memory", "60MB",
-                   says=["points alone need", "bytes", "--host-memory"])
+        for command in (["search", path, "-o", self.path("x.npz")], ["plan", path]):
+            self.fails(4, *command, "--host-memory", "60MB", says=["points alone need", "bytes", "--host-memory"])
 
     def test_less_than_the_grid(self):
         path = self.scene("block", 300000)

@@ -6,6 +6,7 @@ import subprocess
 
 import numpy as np
 
+import cli_case
 from cli_case import CliCase, limit_file_size, run, watched
 
 
@@ -90,7 +91,7 @@ class Targets(CliCase):
 
             def leave_some():
                 for count in range(8):
-                    with open(f"{out}.vdb_nns-{os.getpid():x}-{count:x}.tmp", "w"):
+                    with open(f"{out}.vdb_nns-{cli_case.host_mark()}-{os.getpid():x}-{count:x}.tmp", "w"):
                         pass
             self.assertIn(run(*args, out, preexec_fn=leave_some).code, (0, 6) if name == "x.html" else (0,))
             self.assertEqual([left for left in os.listdir(self.folder) if left.endswith(".tmp")], [])

@@ -1,6 +1,7 @@
 """The dry run: what would run where, without running it."""
 import json
 import os
+import re
 import xml.etree.ElementTree as ElementTree
 
 from cli_case import CliCase, run
@@ -278,7 +279,10 @@ class Flags(PlanCase):
                       "sim:0", "sim:1", "cpu", "output", "predicted", "time", "plan"):
             self.assertRegex(done.out, rf"(?m)^ *{label} ")
         self.assertEqual(self.succeeds("plan", path, "-r", "0.2", "-q"), (0, "", ""))
-        self.assertIn("tests a second", self.succeeds("plan", path, "-r", "0.2", "-v").err)
+        rates = {re.search("for all [0-9]+ threads that there are, taken to make .* tests a second", done.err).group()
+                 for done in (self.succeeds("plan", path, "-r", "0.2", "-v", "-T", threads) for threads in (1, 2))}
+        self.assertEqual(len(rates), 1)
+        self.assertIn("The plan is for all threads", " ".join(run("plan", "--help").out.split()))
         self.assertIn("suggests the radius", self.succeeds("plan", path).err)
         lines = self.succeeds("plan", path, "-r", "0.2", "--progress", "always").err.splitlines()
         self.assertEqual(lines[-1], "PROGRESS 100%")

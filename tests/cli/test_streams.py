@@ -62,6 +62,19 @@ class ClosedStreams(CliCase):
                 self.assertEqual(found, expected, f"{name} with {closed} closed")
 
 
+    def test_what_is_asked_for_on_stdout(self):
+        """Refused before anything is made. A summary is not missed."""
+        scene, lists = self.scene(), self.path("x.npz")
+        self.succeeds("search", scene, "-o", lists, "-q")
+        for args in (["search", scene, "-o", self.path("y.npz")], ["plan", scene], ["info", scene],
+                     ["bench", scene, "--csv", self.path("x.csv")], ["verify", scene, lists],
+                     ["scene", "block", "-n", "10", "-o", self.path("y.vdb")]):
+            self.fails(6, *args, "--json", "-", says=["standard output", "closed"], preexec_fn=close([1]))
+        for args in (["--help"], ["--version"], ["--help-markdown"]):
+            self.fails(6, *args, says=["standard output", "closed"], preexec_fn=close([1]))
+        self.assertEqual(run("info", scene, preexec_fn=close([1])), (0, "", ""))
+
+
 class FullStdout(CliCase):
     def test_is_an_error(self):
         if not os.path.exists("/dev/full"):

@@ -28,7 +28,7 @@ class Help(CliCase):
             self.assertIn("Usage", done.out)
             self.assertEqual(done.err, "")
         self.assertIn("--encoding", run("search", "--help").out)
-        for args in ([], ["help"]):
+        for args in ([], ["help"], ["help", "help"]):
             self.assertEqual(run(*args), run("--help"), args)
         for command in ("search", "bench"):
             self.assertEqual(run("help", command), run(command, "--help"))
@@ -90,8 +90,11 @@ class BadFlags(CliCase):
         path = self.scene()
         for threads in ("-1", "1025", "two"):
             self.fails(2, "search", path, "-T", threads, says=["--threads", threads, "0 to 1024"])
-        self.fails(4, "search", path, "--host-memory", "64", says=["--host-memory", "64 bytes", "MiB before", "4G"])
-        self.fails(4, "search", path, "--host-memory", "2MB", says=["2000000 bytes", "the program itself"])
+        for command in ("search", "plan", "bench"):
+            self.fails(4, command, path, "--host-memory", "64", says=["--host-memory", "64 bytes", "MiB before", "4G"])
+            message = self.fails(4, command, path, "--host-memory", "2MB", says=["2000000 bytes", "the program itself"]).err
+            for flag in re.findall("--[a-z-]+", message):
+                self.assertIn(flag, run(command, "--help").out)
 
     def test_values_that_work(self):
         path = self.scene()

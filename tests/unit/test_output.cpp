@@ -165,22 +165,24 @@ TEST_F(OutputTest, takesTheLongestNames)
 
 TEST_F(OutputTest, removesWhatKilledProcessesLeftForItsTarget)
 {
-    const std::string ours = "a.vdb_nns-1f-0.tmp";
-    const std::vector<std::string> others = {"a.vdb_nns-1f-0.tmp2",
-                                             "a.vdb_nns-1f.tmp",
-                                             "a.vdb_nns--0.tmp",
-                                             "a.vdb_nns-1f-.tmp",
-                                             "a.vdb_nns-1f-G.tmp",
-                                             "b.vdb_nns-1f-0.tmp",
-                                             "a.tmp",
-                                             "xa.vdb_nns-1-0.tmp"};
+    // What the names of this host begin with.
+    const std::string mark = [&] {
+        const std::string name = fs::path(OutputFile(path("a"), {}).temporaryPath()).filename();
+        return name.substr(0, name.find('-', name.find('-') + 1) + 1);
+    }();
+    ASSERT_EQ(mark.rfind("a.vdb_nns-", 0), 0u) << mark;
+    const std::string ours = mark + "1f-0.tmp", alsoOurs = mark + "4-0.tmp";
+    const std::vector<std::string> others = {
+        mark + "1f-0.tmp2",     mark + "1f.tmp",      mark + "-0.tmp", mark + "1f-.tmp", mark + "1f-G.tmp",
+        "a.vdb_nns-0-1f-0.tmp", // of another host
+        "a.vdb_nns-1f-0.tmp",   "b" + ours.substr(1), "a.tmp",         "x" + ours};
     for (const std::string& name : others) create(path(name), "of somebody else");
-    fs::create_directory(path("a.vdb_nns-2-0.tmp"));
-    fs::create_symlink(path("a.tmp"), path("a.vdb_nns-3-0.tmp"));
+    fs::create_directory(path(mark + "2-0.tmp"));
+    fs::create_symlink(path("a.tmp"), path(mark + "3-0.tmp"));
     const std::size_t count = fileCount();
     create(path(ours), "half of it");
-    create(path("a.vdb_nns-4-0.tmp"), "half of it");
-    fs::permissions(path("a.vdb_nns-4-0.tmp"), fs::perms(0400));
+    create(path(alsoOurs), "half of it");
+    fs::permissions(path(alsoOurs), fs::perms(0400));
     OutputFile(path("a"), {}).commit();
     EXPECT_EQ(fileCount(), count + 1); // and the target
     for (const std::string& name : others) EXPECT_TRUE(fs::exists(path(name))) << name;

@@ -115,6 +115,10 @@ void addFlags(CLI::App& app, BenchFlags& flags)
         ->type_name("FILE")
         ->check(notEmpty());
     addEngineFlags(app, flags.engine);
+    app.get_option("--host-memory")
+        ->description(
+            "memory for the points when they are read, and for grid and lists of each method (KB MB "
+            "GB: powers of 1000; K M G T KiB MiB GiB: of 1024); default: what is free, less a reserve");
     addCommonFlags(app, flags.common);
 }
 
@@ -214,9 +218,9 @@ BenchPlan checkFlags(const BenchFlags& flags)
 BenchPoints loadPoints(const BenchFlags& flags, const BenchPlan& plan, ProgressPrinter& progress)
 {
     const bool asFloats = plan.shuffleSeed || !flags.pointsOut.empty();
-    BenchPoints points = plan.scene
-                             ? sceneBenchPoints(*plan.scene, &progress)
-                             : fileBenchPoints(flags.input.path, flags.input.grid, asFloats, &progress);
+    const PointFileOptions file{flags.input.grid, plan.options.hostMemoryBytes, &progress};
+    BenchPoints points = plan.scene ? sceneBenchPoints(*plan.scene, &progress)
+                                    : fileBenchPoints(flags.input.path, file, asFloats);
     if (plan.shuffleSeed) shuffle(points, *plan.shuffleSeed);
     if (!flags.pointsOut.empty()) {
         const std::vector<float>& xyz = *points.positions;
@@ -396,7 +400,6 @@ BenchDevices modelDevices(const BenchFlags& flags, const BenchPlan& plan, int th
 
 int runBenchCommand(const BenchFlags& flags, Session& session)
 {
-    session.memoryAdvice = kMemoryFlags;
     BenchPlan plan = checkFlags(flags);
     if (!flags.chart.empty()) {
         const std::string missing = missingForCharts();

@@ -52,9 +52,13 @@ int explainException(const Session& session)
     } catch (const InputError& e) {
         return printError(session, e.what()), kBadInput;
     } catch (const CapacityError& e) {
-        return printError(session, std::string(e.what()) + "; " + session.memoryAdvice), kNoRoom;
+        const std::string& flags = session.memoryFlags;
+        return printError(session, e.what() + (flags.empty() ? "" : "; the flags are " + flags)), kNoRoom;
     } catch (const std::bad_alloc&) {
-        return printError(session, std::string("the memory is used up; ") + session.memoryAdvice), kNoRoom;
+        const std::string& flags = session.memoryFlags;
+        const std::string advice =
+            flags.empty() ? "use a machine with more memory" : "the flags are " + flags;
+        return printError(session, "the memory is used up; " + advice), kNoRoom;
     } catch (const DeviceError& e) {
         return printError(session, e.what()), kNoDevice;
     } catch (const std::exception& e) {
@@ -79,6 +83,19 @@ int explainParseError(const CLI::App& app, const CLI::ParseError& error)
     throw InvalidInput(std::string(error.what()) + "; see vdb_nns --help");
 }
 
+// Session::memoryFlags.
+std::string memoryFlags(const CLI::App& command)
+{
+    std::vector<std::string> flags;
+    for (const char* flag : {"--host-memory", "--device-memory", "--encoding", "--radius"}) {
+        if (command.get_option_no_throw(flag)) flags.push_back(flag);
+    }
+    if (flags.empty() || flags.front() != "--host-memory") return {}; // of a command that does not search
+    std::string text = flags.front();
+    for (std::size_t k = 1; k < flags.size(); ++k) text += (k + 1 < flags.size() ? ", " : " and ") + flags[k];
+    return text;
+}
+
 int runCommand(const CLI::App& app, const std::vector<Command>& commands, bool asMarkdown, Session& session)
 {
     if (asMarkdown) {
@@ -86,7 +103,9 @@ int runCommand(const CLI::App& app, const std::vector<Command>& commands, bool a
         return kDone;
     }
     for (const Command& command : commands) {
-        if (command.app->parsed()) return command.run(session);
+        if (!command.app->parsed()) continue;
+        session.memoryFlags = memoryFlags(*command.app);
+        return command.run(session);
     }
     throw InvalidInput("no command given; see vdb_nns --help");
 }

@@ -1,5 +1,6 @@
 #include "cli_options.h"
 
+#include "machine.h"
 #include "report.h"
 #include "standard_streams.h"
 #include "threads.h"
@@ -21,6 +22,17 @@ bool sameFile(const std::string& a, const std::string& b)
     const fs::path left = fs::weakly_canonical(fs::absolute(a, error), error);
     const fs::path right = fs::weakly_canonical(fs::absolute(b, error), error);
     return left.lexically_normal() == right.lexically_normal();
+}
+
+// A bound that the program passes before it has read a point is mostly a number whose unit was forgotten.
+void checkHostMemory(const std::string& text, std::uint64_t bytes)
+{
+    const std::uint64_t own = residentMemoryBytes();
+    if (bytes > own) return;
+    throw CapacityError("--host-memory: '" + text + "' is " + countText(bytes) +
+                            " bytes, and the program itself takes " + bytesText(own) +
+                            " before it has read a point; give more, e.g. 4G",
+                        own, bytes);
 }
 
 void setIfGiven(std::optional<double>& target, const std::string& text, const char* flag)
@@ -97,10 +109,9 @@ void addInputFlags(CLI::App& app, InputFlags& flags, bool withRadius)
 
 void addEngineFlags(CLI::App& app, EngineFlags& flags)
 {
-    app.add_option(
-           "--host-memory", flags.hostMemory,
-           "memory for grid and lists (KB MB GB: powers of 1000; K M G T KiB MiB GiB: of 1024); default: "
-           "what is free, less a reserve")
+    app.add_option("--host-memory", flags.hostMemory,
+                   "most memory that the program may use, the points included (KB MB GB: powers of 1000; "
+                   "K M G T KiB MiB GiB: of 1024); default: what is free, less a reserve")
         ->type_name("SIZE")
         ->check(notEmpty());
     app.add_option("--cell-size", flags.cellSize, "cell edge in radii: auto, or 0.333 to 4")
@@ -113,7 +124,10 @@ SearchOptions searchOptions(const EngineFlags& flags, Progress* progress)
 {
     SearchOptions options;
     options.cellSize = parseCellSize(flags.cellSize);
-    if (!flags.hostMemory.empty()) options.hostMemoryBytes = parseSize(flags.hostMemory, "--host-memory");
+    if (!flags.hostMemory.empty()) {
+        options.hostMemoryBytes = parseSize(flags.hostMemory, "--host-memory");
+        checkHostMemory(flags.hostMemory, options.hostMemoryBytes);
+    }
     options.progress = progress;
     return options;
 }
@@ -198,7 +212,9 @@ void checkNotInput(const std::string& output, const std::vector<std::string>& in
 void checkOutputs(std::vector<std::string> paths, const std::vector<std::string>& inputs,
                   const CommonFlags& flags)
 {
-    if (!flags.json.empty() && !jsonToStdout(flags)) {
+    if (jsonToStdout(flags)) {
+        requireStdout();
+    } else if (!flags.json.empty()) {
         checkNotInput(flags.json, inputs);
         paths.push_back(flags.json);
     }

@@ -57,6 +57,7 @@ struct EngineFlags {
     std::string hostMemory, cellSize = "auto";
 };
 void addEngineFlags(CLI::App& app, EngineFlags& flags);
+/// @throws InvalidInput; CapacityError for less memory than the program itself takes
 SearchOptions searchOptions(const EngineFlags& flags, Progress* progress);
 
 /// Parameters of a scene.
@@ -78,7 +79,8 @@ std::string extensionOf(const std::string& path);
 /// @throws InvalidInput
 void checkNotInput(const std::string& output, const std::vector<std::string>& inputs);
 
-/// Refuses outputs that are one file, files that could not be written, and a report in the place of an input.
+/// Refuses outputs that are one file, files that could not be written, a report in the place of an input, and one for a
+/// standard output that is closed.
 /// @param paths of outputs; the file of --json is added.
 /// @throws InvalidInput, OutputExists, OutputError
 void checkOutputs(std::vector<std::string> paths, const std::vector<std::string>& inputs,

@@ -11,13 +11,10 @@ namespace vdb_nns::cli {
 
 /// Shared by a subcommand and the handler of its errors.
 struct Session {
-    std::string path, grid; ///< at work: errors of the engine, which knows no files, are prefixed with them
-    std::string otherPath;  ///< another file at work: errors that begin with its name are about it
-    const char* memoryAdvice = "use a machine with more memory"; ///< where it does not suffice
+    std::string path, grid;  ///< at work: errors of the engine, which knows no files, are prefixed with them
+    std::string otherPath;   ///< another file at work: errors that begin with its name are about it
+    std::string memoryFlags; ///< of the command, that help where memory does not suffice, as a list; or none
 };
-
-/// Of commands that search.
-constexpr const char* kMemoryFlags = "the flags are --host-memory, --device-memory, --encoding and --radius";
 
 struct Command {
     CLI::App* app;

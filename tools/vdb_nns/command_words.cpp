@@ -64,10 +64,11 @@ std::vector<std::string> namesFor(const std::string& word, const CLI::App& root,
 
 std::vector<std::string> withHelp(std::vector<std::string> words)
 {
-    if (words.empty()) return {"--help"};
-    if (words.front() != "help") return words;
-    words.erase(words.begin());
-    words.push_back("--help");
+    const auto isHelp = [](const std::string& word) { return word == "help"; };
+    const auto command = std::find_if_not(words.begin(), words.end(), isHelp);
+    const bool isAsked = command != words.begin() || words.empty();
+    words.erase(words.begin(), command);
+    if (isAsked) words.push_back("--help");
     return words;
 }
 

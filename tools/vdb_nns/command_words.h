@@ -8,7 +8,8 @@
 
 namespace vdb_nns::cli {
 
-/// `help` is `--help`, `help COMMAND` is `COMMAND --help`, and a command line without a word asks for help too.
+/// `help`, also said twice, is `--help`, `help COMMAND` is `COMMAND --help`, and a command line without a word asks for
+/// help too.
 std::vector<std::string> withHelp(std::vector<std::string> words);
 
 /// An error message about the words, in the order typed, that the parser could not place, with the name nearest to one of

@@ -1,7 +1,8 @@
-// What --host-memory SIZE, the most memory that the process may have resident, leaves for each step of a search. Without
-// it lists still leave room for what is made beside and after them.
+// What --host-memory SIZE, the most memory that the process may have resident, leaves for each step of a search or a
+// plan. Without it lists still leave room for what is made beside and after them.
 #pragma once
 
+#include "vdb_nns/error.h"
 #include "vdb_nns/neighbor_lists.h"
 #include "vdb_nns/search_options.h"
 #include "vdb_nns/sparse_grid.h"
@@ -44,10 +45,19 @@ public:
     /// What the threads of writeNpzDirect() may collect together.
     std::uint64_t bufferBytes(const SparseGrid& grid) const;
 
-    /// Where the memory went, as the end of a sentence.
-    std::string explanation() const;
+    /// Runs a step; a CapacityError that it throws says where the memory went.
+    template <typename F>
+    auto explained(F&& step) const
+    {
+        try {
+            return step();
+        } catch (const CapacityError& error) {
+            throw CapacityError(error.what() + explanation(), error.neededBytes(), error.allowedBytes());
+        }
+    }
 
 private:
+    std::string explanation() const; // as the end of a sentence
     std::uint64_t writerBytes(std::uint64_t points, Encoding encoding) const;
 
     std::uint64_t mBoundBytes, mThreads;

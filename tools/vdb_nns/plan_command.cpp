@@ -3,6 +3,7 @@
 #include "command.h"
 #include "device_plan.h"
 #include "exit_codes.h"
+#include "host_memory.h"
 #include "machine.h"
 #include "plan_svg.h"
 #include "point_input.h"
@@ -47,7 +48,7 @@ void addFlags(CLI::App& app, PlanFlags& flags)
         ->check(notEmpty());
     addCommonFlags(app, flags.common);
     app.get_option("--threads")
-        ->description("threads to plan with; 0: all. The plan itself is one for all threads that there are");
+        ->description("threads that make the plan; 0: all. The plan is for all threads that there are");
 }
 
 // Everything that can be wrong without reading a byte.
@@ -83,6 +84,12 @@ void deliver(const PlanFlags& flags, const SparseGrid& grid, SearchReport& repor
     }
 }
 
+// A plan is the same whatever --threads it is made with.
+int plannedThreads()
+{
+    return tbb::info::default_concurrency();
+}
+
 int planFile(const PlanFlags& flags, SearchOptions options, const DeviceRequest& request, int threads,
              Session& session)
 {
@@ -92,13 +99,18 @@ int planFile(const PlanFlags& flags, SearchOptions options, const DeviceRequest&
     SearchReport report;
     report.command = "plan";
     report.device.threads = threads;
-    const PointNeeds needs{!flags.common.json.empty(), flags.nonfinite == "fail", flags.common.quiet};
+    HostMemory memory(options.hostMemoryBytes, threads, {});
+    const PointNeeds needs{!flags.common.json.empty(), flags.nonfinite == "fail", flags.common.quiet,
+                           memory.readBytes()};
     const PointFile file = readPoints(flags.input, needs, {progress, 0, 0.4}, session, report);
 
     progress.begin("grid", 0.4, 0.8);
     const Stopwatch gridWatch;
     SearchEngine engine;
-    const SparseGrid grid = engine.buildGrid(file.view(), report.radius, options);
+    memory.beginSearch();
+    options.hostMemoryBytes = memory.gridBytes();
+    const SparseGrid grid =
+        memory.explained([&] { return engine.buildGrid(file.view(), report.radius, options); });
     report.seconds.grid = report.seconds.firstGrid = gridWatch.seconds();
     report.plan =
         makePlan(grid, request, options.encoding, PlanDetail::kFull, {progress, 0.8, 1}, report.seconds);
@@ -111,9 +123,10 @@ int planFile(const PlanFlags& flags, SearchOptions options, const DeviceRequest&
 
     if (flags.common.verbose) {
         say(format(
-            "%d threads, %s; the CPU is taken to make %.3g tests a second, index lists get %.1f %% and "
-            "%.2g neighbors a particle beyond their estimate",
-            threads, report.simd.c_str(), request.schedule.cpuTestsPerSecond,
+            "made with --threads %d, %s; the plan is for all %d threads that there are, taken to make %.3g "
+            "tests a second together; index lists get %.1f %% and %.2g neighbors a particle beyond their "
+            "estimate",
+            threads, report.simd.c_str(), plannedThreads(), request.schedule.cpuTestsPerSecond,
             100 * report.plan->schedule.model.margin, report.plan->schedule.model.auxNeighbors));
     }
     if (!flags.common.json.empty())
@@ -124,11 +137,10 @@ int planFile(const PlanFlags& flags, SearchOptions options, const DeviceRequest&
 
 int runPlanCommand(const PlanFlags& flags, Session& session)
 {
-    session.memoryAdvice = kMemoryFlags;
     const int wanted = threadCount(flags.common);
     SearchOptions options = checkFlags(flags);
     ThreadLimit threads(wanted);
-    const DeviceRequest request = deviceRequest(flags.device, tbb::info::default_concurrency());
+    const DeviceRequest request = deviceRequest(flags.device, plannedThreads());
     options.wideCells = request.devices.empty(); // masks are sent over the link
     return threads.run([&] { return planFile(flags, options, request, threads.count(), session); });
 }

@@ -13,7 +13,7 @@ struct PointNeeds {
     bool info;          ///< the report says what is in the file, which costs a pass
     bool failNonfinite; ///< --nonfinite fail
     bool quiet;
-    std::uint64_t hostMemoryBytes = 0; ///< as PointFileOptions
+    std::uint64_t hostMemoryBytes; ///< as PointFileOptions
 };
 
 /// Reads the file; fills what report and session say of it: path, info, radius, seconds.

@@ -57,9 +57,6 @@ void addFlags(CLI::App& app, SearchFlags& flags)
     addInputFlags(app, flags.input, true);
     addDeviceFlags(app, flags.device);
     addEngineFlags(app, flags.engine);
-    app.get_option("--host-memory")
-        ->description("most memory that the program may use, the points included (KB MB GB: powers of 1000; "
-                      "K M G T KiB MiB GiB: of 1024); default: what is free, less a reserve");
     app.add_option("--encoding", flags.encoding,
                    "how lists are held: index, mask or none; default: what the outputs need, mask where "
                    "index lists do not fit. Where neither fits, the rows of an .npz go straight to the file")
@@ -133,24 +130,12 @@ Encoding chooseEncoding(const SearchFlags& flags, const SearchPlan& plan)
     return flags.checksum ? Encoding::kMask : Encoding::kNone;
 }
 
-// A bound that the program passes before it has read a point is mostly a number whose unit was forgotten.
-void checkHostMemory(const std::string& text, std::uint64_t bytes)
-{
-    const std::uint64_t own = residentMemoryBytes();
-    if (bytes == 0 || bytes > own) return;
-    throw CapacityError("--host-memory: '" + text + "' is " + countText(bytes) +
-                            " bytes, and the program itself takes " + bytesText(own) +
-                            " before it has read a point; give more, e.g. 4G",
-                        own, bytes);
-}
-
 // Everything that can be wrong without reading a byte.
 SearchPlan checkFlags(const SearchFlags& flags)
 {
     SearchPlan plan;
     if (!flags.input.radius.empty()) plan.radius = parsePositive(flags.input.radius, "--radius");
     plan.options = searchOptions(flags.engine, nullptr);
-    checkHostMemory(flags.engine.hostMemory, plan.options.hostMemoryBytes);
     plan.threads = threadCount(flags.common);
     plan.repeat = parseCount(flags.repeat, "--repeat");
     if (plan.repeat == 0) throw InvalidInput("--repeat: 0 runs are none; give 1 or more");
@@ -363,19 +348,6 @@ void fillReport(const SearchEngine& engine, const SearchPlan& plan, const HostMe
     report.result = lists.statistics();
 }
 
-// The search beside the points, which are in memory. Errors say where the bound went.
-NeighborLists searchWithin(HostMemory& memory, SearchEngine& engine, const ParticleView& view,
-                           const SearchFlags& flags, SearchPlan& plan, ProgressPrinter& progress,
-                           SearchReport& report)
-{
-    memory.beginSearch();
-    try {
-        return runSearch(engine, view, report.radius, flags, memory, plan, progress, report);
-    } catch (const CapacityError& error) {
-        throw CapacityError(error.what() + memory.explanation(), error.neededBytes(), error.allowedBytes());
-    }
-}
-
 int searchFile(const SearchFlags& flags, SearchPlan plan, int threads, Session& session)
 {
     const Stopwatch total;
@@ -390,7 +362,9 @@ int searchFile(const SearchFlags& flags, SearchPlan plan, int threads, Session& 
     checkAttribute(flags, plan, file);
 
     SearchEngine engine;
-    const NeighborLists lists = searchWithin(memory, engine, file.view(), flags, plan, progress, report);
+    memory.beginSearch();
+    const NeighborLists lists = memory.explained(
+        [&] { return runSearch(engine, file.view(), report.radius, flags, memory, plan, progress, report); });
     fillReport(engine, plan, memory, lists, report);
     makeChecksum(engine, flags, plan, lists, report);
     writeOutputs(engine, flags, plan, memory, file, lists, progress, report);
@@ -412,7 +386,6 @@ int searchFile(const SearchFlags& flags, SearchPlan plan, int threads, Session& 
 
 int runSearchCommand(const SearchFlags& flags, Session& session)
 {
-    session.memoryAdvice = kMemoryFlags;
     SearchPlan plan = checkFlags(flags);
     ThreadLimit threads(plan.threads);
     plan.devices = deviceRequest(flags.device, threads.count());

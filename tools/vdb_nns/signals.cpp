@@ -50,7 +50,10 @@ void installSignalHandlers()
     handle(SIGINT, askToStop);
     handle(SIGTERM, askToStop);
     if (!isIgnored(SIGHUP)) handle(SIGHUP, askToStop); // nohup ignores it
-    if (!isIgnored(SIGQUIT)) handle(SIGQUIT, killAtOnce);
+    // What schedulers, timers and abort() send, whose default is to end the process.
+    for (const int signal : {SIGQUIT, SIGABRT, SIGUSR1, SIGUSR2, SIGXCPU, SIGALRM, SIGVTALRM, SIGPROF}) {
+        if (!isIgnored(signal)) handle(signal, killAtOnce);
+    }
     handle(SIGPIPE, SIG_IGN);
     handle(SIGXFSZ, SIG_IGN);
 }

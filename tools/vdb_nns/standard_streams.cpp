@@ -12,6 +12,8 @@
 namespace vdb_nns::cli {
 namespace {
 
+bool gStdoutWasClosed = false;
+
 // The bytes of the UTF-8 character that text[at] begins, or 0: after Table 3-7 of the Unicode standard.
 std::size_t characterBytes(const std::string& text, std::size_t at)
 {
@@ -48,6 +50,7 @@ bool openStandardStreams()
 {
     for (int descriptor = 0; descriptor <= 2; ++descriptor) {
         if (::fcntl(descriptor, F_GETFD) >= 0) continue;
+        if (descriptor == STDOUT_FILENO) gStdoutWasClosed = true;
         if (::open("/dev/null", O_RDWR) == descriptor) continue; // the lowest number that is free
         std::perror("vdb_nns: error: /dev/null");
         return false;
@@ -79,8 +82,16 @@ void say(const std::string& text)
     std::fprintf(stderr, "vdb_nns: %s\n", printable(text).c_str());
 }
 
+void requireStdout()
+{
+    if (!gStdoutWasClosed) return;
+    throw OutputError(
+        "standard output: is closed, and what was asked for goes there; open it, or write to a file");
+}
+
 void writeSummary(const std::string& lines)
 {
+    if (gStdoutWasClosed) return;
     std::string text;
     for (std::size_t begin = 0; begin < lines.size();) {
         const std::size_t end = std::min(lines.find('\n', begin), lines.size());
@@ -92,6 +103,7 @@ void writeSummary(const std::string& lines)
 
 void writeStdout(const std::string& text)
 {
+    requireStdout();
     const bool written = std::fwrite(text.data(), 1, text.size(), stdout) == text.size();
     if (!written || std::fflush(stdout) != 0) {
         throw OutputError(std::string("standard output: cannot write: ") + std::strerror(errno));

@@ -17,12 +17,17 @@ std::string printable(const std::string& text);
 /// Says a line on stderr: "vdb_nns: " and the text, made printable.
 void say(const std::string& text);
 
-/// Writes the lines of a summary to standard output, each made printable.
+/// Before what was asked for on standard output is made.
+/// @throws OutputError when it was closed from the start
+void requireStdout();
+
+/// Writes the lines of a summary to standard output, each made printable; none where it was closed from the start: nobody
+/// asked for a summary.
 /// @throws OutputError when not all of it could be written
 void writeSummary(const std::string& lines);
 
-/// Writes to standard output, as it is, and flushes it.
-/// @throws OutputError when not all of it could be written
+/// Writes what was asked for to standard output, as it is, and flushes it.
+/// @throws OutputError when not all of it could be written, or it was closed from the start
 void writeStdout(const std::string& text);
 
 } // namespace vdb_nns::cli

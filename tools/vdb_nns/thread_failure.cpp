@@ -18,12 +18,12 @@ std::terminate_handler gDefaultHandler = nullptr;
 
 [[noreturn]] void explainTermination()
 {
+    removeTemporaryFiles();
     try {
         if (std::current_exception()) throw;
     } catch (const std::exception& error) {
         if (isThreadFailure(error)) {
             std::fprintf(stderr, "vdb_nns: error: %s\n", threadAdvice(error).c_str());
-            removeTemporaryFiles();
             ::_exit(kNoRoom);
         }
     } catch (...) {

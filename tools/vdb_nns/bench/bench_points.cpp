@@ -29,12 +29,11 @@ BenchPoints sceneBenchPoints(const SceneOptions& options, Progress* progress)
     return points;
 }
 
-BenchPoints fileBenchPoints(const std::string& path, const std::string& grid, bool asFloats,
-                            Progress* progress)
+BenchPoints fileBenchPoints(const std::string& path, const PointFileOptions& options, bool asFloats)
 {
     BenchPoints points;
     points.scene = std::filesystem::path(path).filename().string();
-    points.file = PointFile::read(path, {grid, 0, progress});
+    points.file = PointFile::read(path, options);
     points.view = points.file->view();
     points.suggestedRadius = points.file->info().suggestedRadius;
     if (points.file->info().voxelSize) points.voxelSize = (*points.file->info().voxelSize)[0];

@@ -26,8 +26,7 @@ struct BenchPoints {
 };
 
 BenchPoints sceneBenchPoints(const SceneOptions& options, Progress* progress);
-BenchPoints fileBenchPoints(const std::string& path, const std::string& grid, bool asFloats,
-                            Progress* progress);
+BenchPoints fileBenchPoints(const std::string& path, const PointFileOptions& options, bool asFloats);
 
 /// Puts the particles of an array in random order; the same seed gives the same order.
 void shuffle(BenchPoints& points, std::uint64_t seed);

@@ -1,6 +1,7 @@
-// Reads the .npz lists that verify checks: a SciPy CSR matrix in a stored ZIP, of which a small part is in memory at a time. Trusts nothing: every
-// length, offset, type and checksum is tested before it is used, and a lie is an InputError. What the lists say about
-// particles is not judged here but by independent_search.h. Knows the file format only.
+// Reads the .npz lists that verify checks: a SciPy CSR matrix in a stored ZIP, of which a small part is in
+// memory at a time. Trusts nothing: every length, offset, type and checksum is tested before it is used, and
+// a lie is an InputError. What the lists say about particles is not judged here but by independent_search.h.
+// Knows the file format only.
 #pragma once
 
 #include "vdb_nns/progress.h"
@@ -13,13 +14,16 @@
 
 namespace vdb_nns::cli {
 
-// An open file of lists. Copies share it. Safe to read from several threads; each keeps a MB or two of what it read last.
+// An open file of lists. Copies share it. Safe to read from several threads; each keeps a MB or two of what
+// it read last.
 class ListsFile {
 public:
-    // Accepts indptr and indices as int32 or int64, data as int8 or float32, in members of any order and alignment.
+    // Accepts indptr and indices as int32 or int64, data as int8 or float32, in members of any order and
+    // alignment.
     // Cost: one pass over the file for its checksums.
-    // @throws InputError: no such file, not a ZIP, a member missing, double, compressed, outside the file or with a
-    //         wrong CRC-32; a wrong type; not square; row offsets that decrease or do not cover the indices
+    // @throws InputError: no such file, not a ZIP, a member missing, double, compressed, outside the file or
+    //         with a wrong CRC-32; a wrong type; not square; row offsets that decrease or do not cover the
+    //         indices
     // @throws Cancelled
     static ListsFile open(const std::string& path, const Progress* progress = nullptr);
 
