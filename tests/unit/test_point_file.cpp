@@ -509,11 +509,17 @@ TEST_F(PointFileTest, refusesAnInstanceWithoutATree)
     const PointDataGrid::Ptr parent = makeGrid<points::NullCodec>(100, "parent");
     const PointDataGrid::Ptr shares = openvdb::gridPtrCast<PointDataGrid>(parent->copyGrid());
     shares->setName("shares");
-    std::string bytes = contents(writeFile("a.vdb", {parent, shares}, 0));
-    EXPECT_EQ(PointFile::read(path("a.vdb"), {"shares"}).view().size(), 100u);
-    bytes.replace(bytes.rfind("parent"), 6, "shares");
-    create(path("a.vdb"), bytes);
-    EXPECT_THROW(PointFile::read(path("a.vdb"), {"shares"}), InputError);
+    writeFile("a.vdb", {parent, shares}, 0);
+    std::ofstream out(path("stream.vdb"), std::ios::binary);
+    openvdb::io::Stream(out).write(openvdb::GridCPtrVec{parent, shares});
+    out.close();
+    for (const std::string& file : {path("a.vdb"), path("stream.vdb")}) {
+        EXPECT_EQ(PointFile::read(file, {"shares"}).view().size(), 100u) << file;
+        std::string bytes = contents(file);
+        bytes.replace(bytes.rfind("parent"), 6, "shares");
+        create(file, bytes);
+        EXPECT_THROW(PointFile::read(file, {"shares"}), InputError) << file;
+    }
     EXPECT_EQ(PointFile::read(path("a.vdb"), {"parent"}).view().size(), 100u);
 }
 
