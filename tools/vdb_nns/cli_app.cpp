@@ -37,6 +37,7 @@ int explainStop(int signal)
 // The one place where exceptions become exit codes; called inside a catch block.
 int explainException(const Session& session)
 {
+    claimEnd();
     try {
         throw;
     } catch (const Cancelled&) {

@@ -3,6 +3,7 @@
 #include "exit_codes.h"
 #include "vdb_nns/output.h"
 
+#include <atomic>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -18,6 +19,7 @@ std::terminate_handler gDefaultHandler = nullptr;
 
 [[noreturn]] void explainTermination()
 {
+    claimEnd();
     removeTemporaryFiles();
     try {
         if (std::current_exception()) throw;
@@ -41,6 +43,15 @@ void installTerminateHandler()
 [[gnu::section(".preinit_array"), gnu::used]] void (*const kBeforeLibraries)() = installTerminateHandler;
 
 } // namespace
+
+void claimEnd()
+{
+    static std::atomic<pid_t> sEnding{0};
+    const pid_t own = ::gettid();
+    pid_t first = 0;
+    if (sEnding.compare_exchange_strong(first, own) || first == own) return;
+    for (;;) ::pause();
+}
 
 bool isThreadFailure(const std::exception& error)
 {

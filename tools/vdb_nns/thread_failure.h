@@ -13,4 +13,8 @@ bool isThreadFailure(const std::exception& error);
 /// What to do about it.
 std::string threadAdvice(const std::exception& error);
 
+/// Of several threads that are about to end the program, main() and workers of TBB say, the first goes on, to
+/// say why. The others wait here for the end.
+void claimEnd();
+
 } // namespace vdb_nns::cli
