@@ -17,9 +17,10 @@ struct DeviceLimits;
 struct RunOptions;
 struct ScheduleRun;
 
-/// Called once for every finite particle: its number, its neighbors and their world distances (ParticleView::distance),
-/// in cell-visiting order. Called from several threads at once; the spans are valid during the call. It may run parallel
-/// work of its own, and searches with other engines: until it returns, its thread is handed no other query.
+/// Called once for every finite particle: its number, its neighbors and their world distances
+/// (ParticleView::distance), in cell-visiting order. Called from several threads at once; the spans are valid
+/// during the call. It may run parallel work of its own, and searches with other engines: until it returns,
+/// its thread is handed no other query.
 using NeighborVisitor = std::function<void(std::uint32_t query, Span<const std::uint32_t> neighbors,
                                            Span<const double> distances)>;
 
@@ -34,14 +35,14 @@ struct SearchStatistics {
     SimdLevel simd = SimdLevel::kScalar; ///< instruction set that ran
 };
 
-/// Finds neighbors, frame after frame. Keeps its memory between runs, and reuses it once the results of an earlier run
-/// are gone. One thread at a time may call it, and none while it runs, a visitor of its own included; inside it uses the
-/// TBB arena that the caller is in.
+/// Finds neighbors, frame after frame. Keeps its memory between runs, and reuses it once the results of an
+/// earlier run are gone. One thread at a time may call it, and none while it runs, a visitor of its own
+/// included; inside it uses the TBB arena that the caller is in.
 ///
 /// What may be nested: every function of the library may be called inside TBB tasks. While a thread waits in
 /// such a call, it runs none of the caller's other tasks. So an engine for each thread,
-/// tbb::enumerable_thread_specific<SearchEngine>, is fine for frames in a parallel loop. Visitors and a Progress
-/// may run parallel work of their own.
+/// tbb::enumerable_thread_specific<SearchEngine>, is fine for frames in a parallel loop. Visitors and a
+/// Progress may run parallel work of their own.
 ///
 /// Membership (all functions here): i and j are neighbors iff i != j and their distance is <= radius in real
 /// arithmetic; no rounding decides. Self is excluded by number: particles at the same place are neighbors.
@@ -56,8 +57,8 @@ public:
     /// @param radius world units, > 0 and finite.
     /// Cost: about 2 passes over the particles and 16 bytes a particle.
     /// @throws InvalidInput for a bad radius or option
-    /// @throws InputError when a cell coordinate would pass +-(2^31 - 4096), with the extent, the cell edge and the
-    ///         smallest radius that works; or for a non-finite particle under NonFinite::kFail
+    /// @throws InputError when a cell coordinate would pass +-(2^31 - 4096), with the extent, the cell edge
+    ///         and the smallest radius that works; or for a non-finite particle under NonFinite::kFail
     /// @throws CapacityError, Cancelled
     SparseGrid buildGrid(const ParticleView& view, double radius, const SearchOptions& options = {});
 
@@ -66,10 +67,12 @@ public:
     /// @throws InvalidInput, Cancelled
     NeighborLists search(const SparseGrid& grid, const SearchOptions& options = {});
 
-    /// Runs a schedule of makeSchedule() on `devices`, which it was made for, and on TBB workers: the same lists, byte for
-    /// byte, as search() makes, in the schedule's encoding. A block that outgrows its estimate is split and redone; a device
-    /// that refuses memory is asked for less, and what fits no device is run by TBB workers; `report` counts all of that.
-    /// Host memory besides the lists: what the devices hold in their slots, once for staging; for simulated devices once more.
+    /// Runs a schedule of makeSchedule() on `devices`, which it was made for, and on TBB workers: the same
+    /// lists, byte for byte, as search() makes, in the schedule's encoding. A block that outgrows its
+    /// estimate is split and redone; a device that refuses memory is asked for less, and what fits no device
+    /// is run by TBB workers; `report` counts all of that.
+    /// Host memory besides the lists: what the devices hold in their slots, once for staging; for simulated
+    /// devices once more.
     /// @throws DeviceError when a device fails, under DeviceFailure::kStop, or is not there
     /// @throws CapacityError when the lists cannot fit beside that
     /// @throws InvalidInput for a schedule of another grid; Cancelled
@@ -110,8 +113,9 @@ std::vector<std::uint32_t> countNeighbors(const ParticleView& view, double radiu
 void visitNeighbors(const ParticleView& view, double radius, const NeighborVisitor& visitor,
                     const SearchOptions& options = {});
 
-/// Pairs of a query and a particle of the cells within reach of its own, itself included: what the search would test
-/// without any pruning, and the number of bits of all mask rows. Cost: one pass over the occupied cells.
+/// Pairs of a query and a particle of the cells within reach of its own, itself included: what the search
+/// would test without any pruning, and the number of bits of all mask rows. Cost: one pass over the occupied
+/// cells.
 std::uint64_t countCandidateTests(const SparseGrid& grid);
 
 /// The widest instruction set of this processor that the search has code for.

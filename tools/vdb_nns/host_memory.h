@@ -1,5 +1,5 @@
-// What --host-memory SIZE, the most memory that the process may have resident, leaves for each step of a search or a
-// plan. Without it lists still leave room for what is made beside and after them.
+// What --host-memory SIZE, the most memory that the process may have resident, leaves for each step of a
+// search or a plan. Without it lists still leave room for what is made beside and after them.
 #pragma once
 
 #include "vdb_nns/error.h"
@@ -19,7 +19,8 @@ struct OutputKinds {
 
 class HostMemory {
 public:
-    /// @param boundBytes 0: no bound, so that only lists and writers are held against what is free once the grid is made.
+    /// @param boundBytes 0: no bound, so that only lists and writers are held against what is free once the
+    ///         grid is made.
     HostMemory(std::uint64_t boundBytes, int threads, const OutputKinds& outputs);
 
     bool isBounded() const { return mBoundBytes > 0; }

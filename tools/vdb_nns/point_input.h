@@ -17,7 +17,8 @@ struct PointNeeds {
 };
 
 /// Reads the file; fills what report and session say of it: path, info, radius, seconds.
-/// @throws CheckFailed for a non-finite point where that fails, InvalidInput without a radius, and as PointFile::read()
+/// @throws CheckFailed for a non-finite point where that fails, InvalidInput without a radius, and as
+///         PointFile::read()
 PointFile readPoints(const InputFlags& input, const PointNeeds& needs, const ProgressSpan& span,
                      Session& session, SearchReport& report);
 

@@ -1,12 +1,12 @@
-// Signals that end the program leave no temporary file. Those that ask it to stop become a flag first, which running
-// steps poll through Progress::cancelled().
+// Signals that end the program leave no temporary file. Those that ask it to stop become a flag first, which
+// running steps poll through Progress::cancelled().
 #pragma once
 
 namespace vdb_nns::cli {
 
-/// The first SIGHUP, SIGINT or SIGTERM is remembered. A second one kills at once, as SIGQUIT, SIGABRT, SIGUSR1, SIGUSR2
-/// and the signals of timers and time limits do, after the temporary files are removed. SIGPIPE and SIGXFSZ are
-/// ignored, so that a closed pipe and a file-size limit come back as write errors.
+/// The first SIGHUP, SIGINT or SIGTERM is remembered. A second one kills at once, as SIGQUIT, SIGABRT,
+/// SIGUSR1, SIGUSR2 and the signals of timers and time limits do, after the temporary files are removed.
+/// SIGPIPE and SIGXFSZ are ignored, so that a closed pipe and a file-size limit come back as write errors.
 void installSignalHandlers();
 
 /// The signal that asked to stop, or 0.

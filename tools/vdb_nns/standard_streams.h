@@ -5,13 +5,13 @@
 
 namespace vdb_nns::cli {
 
-/// Opens those of the descriptors 0 to 2 that are closed on /dev/null: the next file that is opened would get their
-/// number, and what is said on stderr would be written into it. Before anything is opened.
+/// Opens those of the descriptors 0 to 2 that are closed on /dev/null: the next file that is opened would get
+/// their number, and what is said on stderr would be written into it. Before anything is opened.
 /// @returns false where that cannot be done, which it says if it can
 bool openStandardStreams();
 
-/// Text of one line that does nothing to a terminal, whatever comes from files, paths and their like: control characters (C0,
-/// C1, DEL) and what is not UTF-8 are written as \xNN.
+/// Text of one line that does nothing to a terminal, whatever comes from files, paths and their like: control
+/// characters (C0, C1, DEL) and what is not UTF-8 are written as \xNN.
 std::string printable(const std::string& text);
 
 /// Says a line on stderr: "vdb_nns: " and the text, made printable.
@@ -21,8 +21,8 @@ void say(const std::string& text);
 /// @throws OutputError when it was closed from the start
 void requireStdout();
 
-/// Writes the lines of a summary to standard output, each made printable; none where it was closed from the start: nobody
-/// asked for a summary.
+/// Writes the lines of a summary to standard output, each made printable; none where it was closed from the
+/// start: nobody asked for a summary.
 /// @throws OutputError when not all of it could be written
 void writeSummary(const std::string& lines);
 

@@ -1,5 +1,5 @@
-// What happens where the system makes no more threads. Some are made before main() (OpenVDB's logging library) or by TBB's
-// workers, where no exception of theirs can be caught.
+// What happens where the system makes no more threads. Some are made before main() (OpenVDB's logging
+// library) or by TBB's workers, where no exception of theirs can be caught.
 #pragma once
 
 #include <exception>
