@@ -41,6 +41,12 @@ bool hasMemoryFor(const std::string& path)
     return !ignored && availableMemoryBytes() / kExpansion > fileBytes + kProgramBytes / kExpansion;
 }
 
+// What a caller's Progress threw, on its way out of OpenVDB. No std::exception, so that it is not taken for one of
+// OpenVDB's.
+struct ThrownByProgress {
+    std::exception_ptr exception;
+};
+
 // Whatever OpenVDB throws on a damaged file, std::length_error and mostly std::bad_alloc included, is the file's
 // fault.
 template <typename F>
@@ -48,6 +54,8 @@ auto guardRead(const std::string& path, F&& read)
 {
     try {
         return read();
+    } catch (const ThrownByProgress& thrown) {
+        std::rethrow_exception(thrown.exception);
     } catch (const Error&) {
         throw;
     } catch (const std::exception& error) {
@@ -103,7 +111,7 @@ public:
 protected:
     int_type underflow() override
     {
-        mCancel.check();
+        ask();
         return std::filebuf::underflow();
     }
 
@@ -112,7 +120,7 @@ protected:
         std::streamsize done = 0;
         while (done < count) {
             const std::streamsize piece = std::min(kMostBytes, count - done);
-            if (piece > egptr() - gptr()) mCancel.check();
+            if (piece > egptr() - gptr()) ask();
             const std::streamsize got = std::filebuf::xsgetn(out + done, piece);
             done += got;
             if (got < piece) break;
@@ -121,6 +129,15 @@ protected:
     }
 
 private:
+    void ask() const
+    {
+        try {
+            mCancel.check();
+        } catch (...) {
+            throw ThrownByProgress{std::current_exception()};
+        }
+    }
+
     static constexpr std::streamsize kMostBytes = std::streamsize(16) << 20; // of one call for a large array
 
     const CancelCheck& mCancel;
