@@ -10,7 +10,7 @@
 
 namespace vdb_nns {
 
-class ParticleSource; // src/particles/particle_source.h
+class ParticleSource; // src/points/particle_source.h
 
 /// The exact position of a particle as its source holds it: linear() * (voxel + offset) is the world position, but for the
 /// translation, in real arithmetic. This is what decides who is a neighbor.

@@ -34,7 +34,7 @@ struct BlockView {
     int reach; // cells that the radius spans, 1 to 3
 };
 
-// A block as a device holds it: own leaves, then the halo's. See src/execute/block_image.h for how it stands in memory.
+// A block as a device holds it: own leaves, then the halo's. See src/out_of_core/block_image.h for how it stands in memory.
 struct BlockImage {
     static constexpr int kNeighborhoodSize = 28; // 27 leaves; which of its cells are wanted
 

@@ -1,5 +1,5 @@
 // Who is a neighbor: the float32 filter, its bound and its proof. Any compiler; the one place, with its SIMD twin
-// src/execute/membership_simd-inl.h, where the search compares a distance with a radius.
+// kernels/cpu/membership_simd-inl.h, where the search compares a distance with a radius.
 //
 // Unit: the cell edge. rho is the radius in cells, u = 2^-24 the rounding unit of float. R = reach, 1 to 3.
 //
@@ -32,7 +32,7 @@
 //    D - rho^2 > -(2 rho delta). With beta >= 2 rho delta + delta^2 + total:
 //      s >= 0          =>  d > rho        surely not a neighbor
 //      s < -2 beta     =>  d < rho        surely a neighbor
-//      otherwise       in the band: a double test and, if need be, exact arithmetic decide (execute/exact_test.h)
+//      otherwise       in the band: a double test and, if need be, exact arithmetic decide (exact/exact_test.h)
 //    The band is the sign bit and one integer comparison: negative floats of small magnitude are the smallest integers.
 //
 // 4. Ball and box filter. About the centre m of a cell's queries, |p_c| <= |p_q| + sqrt(D), and a neighbor has sqrt(D) <= rho +

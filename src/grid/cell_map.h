@@ -15,8 +15,8 @@
 // that is below reach, and their cells differ by at most reach: no pair is lost at a cell face.
 #pragma once
 
-#include "execute/kernels.h"
-#include "particles/particle_source.h"
+#include "cpu/kernels.h"
+#include "points/particle_source.h"
 #include "vdb_nns/error.h"
 
 #include <cstdint>

@@ -1,7 +1,7 @@
 // See placement.h.
 #include "grid/placement.h"
 
-#include "particles/particle_source.h"
+#include "points/particle_source.h"
 
 #include <tbb/parallel_for.h>
 #include <tbb/parallel_sort.h>

@@ -10,10 +10,10 @@
 
 #include "grid/cell_map.h"
 #include "grid/file_leaves.h"
-#include "grid/leaves_in_reach-inl.h"
+#include "cpu/leaves_in_reach-inl.h"
 #include "grid/placement.h"
 #include "grid/sparse_grid_data.h"
-#include "particles/particle_source.h"
+#include "points/particle_source.h"
 #include "util/cancel.h"
 #include "vdb_nns/error.h"
 

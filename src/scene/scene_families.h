@@ -3,7 +3,7 @@
 // Knows random.h and the public scene.h; nothing of files or grids.
 #pragma once
 
-#include "random.h"
+#include "util/random.h"
 #include "util/cancel.h"
 #include "vdb_nns/scene.h"
 

@@ -3,7 +3,7 @@
 #pragma once
 
 #include "grid/sparse_grid_data.h"
-#include "particles/particle_source.h"
+#include "points/particle_source.h"
 #include "support/distributions.h"
 #include "support/oracle.h"
 #include "vdb_nns/particle_view.h"

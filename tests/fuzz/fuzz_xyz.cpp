@@ -1,5 +1,5 @@
 // Fuzz target of the .xyz reader: any bytes are positions or an InputError, and nothing else.
-#include "particles/array_readers.h"
+#include "io/array_readers.h"
 #include "vdb_nns/error.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const unsigned char* data, std::size_t size)

@@ -1,5 +1,5 @@
 // The parts of a block are all of it, and each fits as far as anything is known.
-#include "execute/block_parts.h"
+#include "out_of_core/block_split.h"
 #include "lists/neighbor_lists_data.h"
 #include "unit/workload_cases.h"
 #include "vdb_nns/error.h"

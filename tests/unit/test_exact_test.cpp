@@ -2,7 +2,7 @@
 // apart, matrices that fit the fast path and matrices that do not, ties, and radii whose last bit is finer or coarser than
 // that of the coordinates.
 #include "agreement/point_views.h"
-#include "execute/exact_test.h"
+#include "exact/exact_test.h"
 
 #include <gtest/gtest.h>
 

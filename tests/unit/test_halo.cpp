@@ -1,6 +1,6 @@
 // Copying particles around a leaf, at the end of the numbers that slots have.
 #define VDB_NNS_SIMD_SSE4
-#include "execute/halo-inl.h"
+#include "cpu/halo-inl.h"
 #include "vdb_nns/search.h"
 
 #include <gtest/gtest.h>

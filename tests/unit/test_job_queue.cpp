@@ -1,7 +1,7 @@
 // Jobs of the arena and of threads beside it: all are run, on any number of threads; errors and the end drop what has not
 // begun, and wait for what has.
 #include "agreement/point_views.h"
-#include "execute/job_queue.h"
+#include "out_of_core/job_queue.h"
 
 #include <gtest/gtest.h>
 

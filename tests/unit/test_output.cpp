@@ -1,9 +1,9 @@
 // Output files: whole or not at all, and the bytes of the .npz lists, read back by a ZIP reader written here.
 #include "agreement/point_views.h"
-#include "output/npz_direct.h"
-#include "output/npz_parts.h"
-#include "output/npz_writer.h"
-#include "output/output_file.h"
+#include "io/npz_direct.h"
+#include "io/npz_parts.h"
+#include "io/npz_writer.h"
+#include "io/output_file.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/search.h"
 

@@ -1,6 +1,6 @@
 // The overlap shares of two cells: against closed forms worked by hand, against an adaptive quadrature that
 // shares nothing with the table's but the definition, and against each other.
-#include "estimate/overlap_table.h"
+#include "plan/overlap_table.h"
 
 #include <boost/math/constants/constants.hpp>
 #include <boost/math/quadrature/gauss_kronrod.hpp>

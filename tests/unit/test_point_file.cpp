@@ -1,6 +1,6 @@
 // Point grids and point files: every value as OpenVDB's own handles give it, damage noticed, and a file
 // written again with nothing changed but the attribute that was added.
-#include "particles/particle_source.h"
+#include "points/particle_source.h"
 #include "support/comparator.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/openvdb_bridge.h"

@@ -1,6 +1,6 @@
 // The array formats, byte by byte: what is read, and what every lie of a header gets.
-#include "particles/array_readers.h"
-#include "particles/particle_source.h"
+#include "io/array_readers.h"
+#include "points/particle_source.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/point_file.h"
 

@@ -1,9 +1,9 @@
 // Devices that are not simulated, by a double that searches like the simulated one and measures what a test wants: their
 // flights have threads of their own, what they measure is reported and changes who takes which block, and whatever ends a
 // run ends it only after the last flight.
-#include "execute/run_schedule.h"
-#include "execute/simulated_device.h"
-#include "schedule/dispatcher.h"
+#include "out_of_core/run_schedule.h"
+#include "out_of_core/simulated_device.h"
+#include "plan/dispatcher.h"
 #include "unit/workload_cases.h"
 #include "vdb_nns/error.h"
 

@@ -1,8 +1,8 @@
 // Running a schedule gives the lists of the plain search, byte for byte: whatever the budget, the boundary, the block size, the
 // estimate, the devices, and whatever fails on the way. And a device's memory holds to the byte.
-#include "execute/block_image.h"
-#include "execute/run_schedule.h"
-#include "execute/simulated_device.h"
+#include "out_of_core/block_image.h"
+#include "out_of_core/run_schedule.h"
+#include "out_of_core/simulated_device.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/executor.h"
 #include "workload_cases.h"

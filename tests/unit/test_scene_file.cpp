@@ -3,7 +3,7 @@
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/scene.h"
 
-#include "../../src/particles/particle_source.h"
+#include "points/particle_source.h"
 
 #include <gtest/gtest.h>
 #include <tbb/global_control.h>

@@ -1,9 +1,9 @@
 // The schedule: every one holds each query once, in blocks that fit, whatever the budget, the devices and the estimate.
-#include "schedule/device_clock.h"
+#include "plan/device_clock.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/scene.h"
 #include "vdb_nns/schedule.h"
-#include "workload/block_halo.h"
+#include "plan/block_halo.h"
 #include "workload_cases.h"
 
 #include <gtest/gtest.h>

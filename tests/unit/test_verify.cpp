@@ -1,6 +1,6 @@
 // The engine of `vdb_nns verify`: right lists of every distribution pass, each planted fault is found and named, and
 // files that lie are refused.
-#include "../../src/particles/particle_source.h"
+#include "points/particle_source.h"
 #include "../support/distributions.h"
 #include "../support/lists_writer.h"
 #include "../support/oracle.h"

@@ -1,0 +1,186 @@
+// The candidates of one cell's queries: those of the cells in reach that are near the ball of the queries, moved to its
+// centre. Internal linkage; see simd.h.
+#pragma once
+
+#include "cpu/halo-inl.h"
+#include "cpu/membership_simd-inl.h"
+
+namespace vdb_nns {
+namespace {
+
+// One cell's queries and the candidates that they keep.
+struct CellSearch {
+    std::uint32_t firstQuery, queries; // in the halo arrays
+    std::uint32_t candidates;          // of the cells in reach
+    std::uint32_t kept;
+    std::uint32_t self; // kept candidate that is the first query; the others follow
+};
+
+// Candidates of the cells in reach of the one whose lowest corner of reach, but for x and y, is `lowest`.
+inline std::uint32_t candidatesOf(int reach, const std::uint32_t* lowest)
+{
+    const int side = 8 + 2 * reach;
+    std::uint32_t candidates = 0;
+    for (int dx = -reach; dx <= reach; ++dx) {
+        for (int dy = -reach; dy <= reach; ++dy) {
+            const std::uint32_t* const run = lowest + (dx * side + dy) * side;
+            candidates += run[2 * reach + 1] - run[0];
+        }
+    }
+    return candidates;
+}
+
+inline QueryBounds boundsOf(const FilterBounds& bounds, const HaloScratch& halo, std::uint32_t first,
+                            std::uint32_t count)
+{
+    // Whole vectors, the last of them overlapping, or one vector filled up with the first query.
+    const auto forEachVector = [first, count](const char* array, auto&& f) {
+        const float* const in = floats(array) + first;
+        if (count < NarrowSimd::kLanes)
+            return f(firstLanesOr(NarrowSimd::load(in), count, NarrowSimd::set(*in)));
+        for (std::uint32_t i = 0; i + NarrowSimd::kLanes < count; i += NarrowSimd::kLanes)
+            f(NarrowSimd::load(in + i));
+        f(NarrowSimd::load(in + count - NarrowSimd::kLanes));
+    };
+    NarrowSimd::F center[3], half[3];
+    for (int k = 0; k < 3; ++k) {
+        const char* const array = halo.halo() + k * halo.stride;
+        NarrowSimd::F low = NarrowSimd::set(floats(array)[first]), high = low;
+        forEachVector(array, [&](NarrowSimd::F v) {
+            low = NarrowSimd::min(low, v);
+            high = NarrowSimd::max(high, v);
+        });
+        // The half size must cover each |fl(q - centre)|; rounding is monotonic, so the ends' own roundings do.
+        const float l = minOfLanes(low), h = maxOfLanes(high), c = 0.5f * (l + h), a = h - c, b = c - l;
+        center[k] = NarrowSimd::set(c);
+        half[k] = NarrowSimd::set(a > b ? a : b);
+    }
+    NarrowSimd::F most = NarrowSimd::set(0.0f);
+    const std::size_t stride = halo.stride;
+    const float* const x = floats(halo.halo()) + first;
+    for (std::uint32_t i = 0;; i += NarrowSimd::kLanes) {
+        if (i + NarrowSimd::kLanes >= count) i = count > NarrowSimd::kLanes ? count - NarrowSimd::kLanes : 0;
+        const char* const p = reinterpret_cast<const char*>(x + i);
+        const NarrowSimd::F length =
+            squaredLength(NarrowSimd::sub(NarrowSimd::load(floats(p)), center[0]),
+                          NarrowSimd::sub(NarrowSimd::load(floats(p + stride)), center[1]),
+                          NarrowSimd::sub(NarrowSimd::load(floats(p + 2 * stride)), center[2]));
+        most = NarrowSimd::max(
+            most, count < NarrowSimd::kLanes ? firstLanesOr(length, count, NarrowSimd::set(0.0f)) : length);
+        if (i + NarrowSimd::kLanes >= count) break;
+    }
+    return {center[0],
+            center[1],
+            center[2],
+            half[0],
+            half[1],
+            half[2],
+            NarrowSimd::set(keepSquared(bounds, maxOfLanes(most))),
+            NarrowSimd::set(keepSquared(bounds, 0))};
+}
+
+// Bits one after the other into 64-bit words. Fewer than 64 at a time.
+struct BitWriter {
+    std::uint64_t* out;
+    std::uint64_t word = 0;
+    unsigned filled = 0;
+
+    void append(std::uint64_t bits, unsigned count)
+    {
+        word |= bits << filled;
+        filled += count;
+        if (filled >= 64) {
+            *out++ = word;
+            filled -= 64;
+            word = filled ? bits >> (count - filled) : 0;
+        }
+    }
+
+    void finish() { *out = word; }
+};
+
+constexpr NarrowSimd::Mask kAllNarrowLanes = (1u << NarrowSimd::kLanes) - 1;
+
+// One vector of candidates at `p`, of which `valid` count: keeps those near the ball, behind `kept`.
+template <bool kBits, bool kBox>
+inline char* gatherVector(const QueryBounds& where, const char* p, std::size_t stride, NarrowSimd::Mask valid,
+                          unsigned count, char* kept, BitWriter& bits)
+{
+    const NarrowSimd::F px = NarrowSimd::sub(NarrowSimd::load(floats(p)), where.centerX);
+    const NarrowSimd::F py = NarrowSimd::sub(NarrowSimd::load(floats(p + stride)), where.centerY);
+    const NarrowSimd::F pz = NarrowSimd::sub(NarrowSimd::load(floats(p + 2 * stride)), where.centerZ);
+    const NarrowSimd::F length = squaredLength(px, py, pz);
+    const NarrowSimd::Mask mask = where.near<kBox>(px, py, pz, length) & valid;
+    if constexpr (kBits) bits.append(mask, count);
+    const NarrowSimd::Order order = NarrowSimd::order(mask);
+    NarrowSimd::store(floats(kept), NarrowSimd::compress(px, order));
+    NarrowSimd::store(floats(kept + stride), NarrowSimd::compress(py, order));
+    NarrowSimd::store(floats(kept + 2 * stride), NarrowSimd::compress(pz, order));
+    NarrowSimd::store(floats(kept + 4 * stride), NarrowSimd::compress(length, order));
+    NarrowSimd::store(integers(kept + 8 * stride),
+                      NarrowSimd::compress(NarrowSimd::load(integers(p + 4 * stride)), order));
+    return kept + static_cast<std::size_t>(__builtin_popcount(mask)) * sizeof(float);
+}
+
+// The candidates of one run of cells. Returns where the next kept one goes.
+template <bool kBits, bool kBox>
+inline char* gatherRun(const QueryBounds& where, const char* halo, std::size_t stride, std::uint32_t begin,
+                       std::uint32_t end, char* kept, BitWriter& bits)
+{
+    const char* p = halo + std::size_t(begin) * sizeof(float);
+    std::uint32_t left = end - begin;
+    for (; left >= NarrowSimd::kLanes; left -= NarrowSimd::kLanes, p += NarrowSimd::kLanes * sizeof(float)) {
+        kept = gatherVector<kBits, kBox>(where, p, stride, kAllNarrowLanes, NarrowSimd::kLanes, kept, bits);
+    }
+    if (left > 0) kept = gatherVector<kBits, kBox>(where, p, stride, (1u << left) - 1, left, kept, bits);
+    return kept;
+}
+
+template <bool kBits, bool kBox>
+void gatherRuns(const QueryBounds& where, HaloScratch& scratch, int reach, const std::uint32_t* lowest,
+                CellSearch& cell)
+{
+    const int side = 8 + 2 * reach;
+    const char* const halo = scratch.halo();
+    const std::size_t stride = scratch.stride;
+    char* kept = scratch.kept();
+    BitWriter bits{scratch.keepBits()};
+    std::uint32_t candidates = 0;
+    for (int dx = -reach; dx <= reach; ++dx) {
+        for (int dy = -reach; dy <= reach; ++dy) {
+            const std::uint32_t* const run = lowest + (dx * side + dy) * side;
+            std::uint32_t begin = run[0];
+            const std::uint32_t end = run[2 * reach + 1];
+            candidates += end - begin;
+            if (dx == 0 && dy == 0) {
+                // In two parts, to learn where the first query stands among the kept.
+                kept = gatherRun<kBits, kBox>(where, halo, stride, begin, cell.firstQuery, kept, bits);
+                cell.self = static_cast<std::uint32_t>((kept - scratch.kept()) / sizeof(float));
+                begin = cell.firstQuery;
+            }
+            kept = gatherRun<kBits, kBox>(where, halo, stride, begin, end, kept, bits);
+        }
+    }
+    if constexpr (kBits) bits.finish();
+    Simd::store(floats(kept + 4 * stride), Simd::set(kFarAway)); // tests read whole vectors of these
+    cell.candidates = candidates;
+    cell.kept = static_cast<std::uint32_t>((kept - scratch.kept()) / sizeof(float));
+}
+
+// From this many queries on, the box pays: it costs once a cell and saves tests of every query.
+constexpr std::uint32_t kBoxQueries = 14;
+
+// `lowest` indexes the halo's cube at the lowest z of the cell's reach.
+template <bool kBits>
+void gather(const SearchContext& context, HaloScratch& scratch, const std::uint32_t* lowest, CellSearch& cell)
+{
+    const QueryBounds where = boundsOf(context.bounds, scratch, cell.firstQuery, cell.queries);
+    if (cell.queries >= kBoxQueries) {
+        gatherRuns<kBits, true>(where, scratch, context.block.reach, lowest, cell);
+    } else {
+        gatherRuns<kBits, false>(where, scratch, context.block.reach, lowest, cell);
+    }
+}
+
+} // namespace
+} // namespace vdb_nns

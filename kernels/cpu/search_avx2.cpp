@@ -1,0 +1,19 @@
+// The kernels with AVX2. Compiled with the flags of that instruction set; see simd.h.
+#define VDB_NNS_SIMD_AVX2
+#include "cpu/expect_cells-inl.h"
+#include "cpu/kernels.h"
+#include "cpu/search_task-inl.h"
+#include "cpu/sample_cubes-inl.h"
+#include "cpu/locate_axis-inl.h"
+
+namespace vdb_nns {
+
+const Kernels kKernelsAvx2 = {searchTask<IndexRows<StreamedRows>>,
+                              searchTask<IndexRows<DirectRows>>,
+                              searchTask<MaskRows>,
+                              searchTask<CountRows>,
+                              locateAxis,
+                              drawLots,
+                              expectCells};
+
+} // namespace vdb_nns

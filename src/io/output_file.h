@@ -1,0 +1,80 @@
+// A file that appears whole or not at all: written under a temporary name beside its target, renamed when it
+// is done. Knows nothing of formats, lists or OpenVDB.
+//
+// A process that may run into a file size limit must ignore SIGXFSZ (the command line program does): the
+// write then fails with EFBIG and becomes an OutputError. The library changes no signal dispositions. On
+// SIGINT and SIGTERM a caller lets its Progress ask to stop; `Cancelled` unwinds through here and the
+// temporary is removed. Before a signal ends the process, its handler calls removeTemporaryFiles().
+#pragma once
+
+#include "io/temporary_file.h"
+#include "vdb_nns/output.h"
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <streambuf>
+#include <string>
+#include <vector>
+
+namespace vdb_nns {
+
+class OutputFile {
+public:
+    // Checks the target as checkOutput() does and creates the temporary. A symbolic link to a regular file is
+    // followed: the file it leads to is replaced, the link stays.
+    // @throws OutputExists, OutputError
+    OutputFile(const std::string& path, const OutputOptions& options);
+
+    // Writes at a place of the file, past its end too. Thread-safe.
+    // @throws OutputError
+    void writeAt(std::uint64_t offset, const void* data, std::size_t bytes);
+
+    // Throws OutputError unless the disk has room for a file of so many bytes. Before anything is written; others may
+    // take that room all the same.
+    void requireRoom(std::uint64_t bytes) const;
+
+    // Renames the temporary to the target. Without it the temporary is removed at the end.
+    // @throws OutputError, OutputExists when the target came into being meanwhile and may not be overwritten
+    void commit();
+
+    const std::string& path() const { return mPath; }
+    const std::string& temporaryPath() const { return mTemporary->name(); }
+
+private:
+    void replaceTarget();
+    void flush(int descriptor, const char* what) const;
+
+    std::string mPath;   // as the caller gave it, for messages
+    std::string mTarget; // after symbolic links
+    OutputOptions mOptions;
+    std::optional<TemporaryFile> mTemporary;
+};
+
+// Buffers an OutputFile for writers that want a seekable std::ostream. Errors leave as OutputError through a
+// stream whose exceptions() hold badbit, and so does what `onWrite`, told the bytes that were written so far,
+// throws.
+class OutputStreamBuffer final : public std::streambuf {
+public:
+    OutputStreamBuffer(OutputFile& file, std::function<void(std::uint64_t)> onWrite);
+
+protected:
+    int_type overflow(int_type character) override;
+    std::streamsize xsputn(const char* data, std::streamsize bytes) override;
+    int sync() override;
+    pos_type seekoff(off_type offset, std::ios_base::seekdir way, std::ios_base::openmode which) override;
+    pos_type seekpos(pos_type position, std::ios_base::openmode which) override;
+
+private:
+    void flushBuffer();
+    void writeThrough(const char* data, std::size_t bytes);
+
+    OutputFile& mFile;
+    std::function<void(std::uint64_t)> mOnWrite;
+    std::vector<char> mBuffer;
+    std::uint64_t mStart = 0; // place in the file of the buffer's first byte
+    std::uint64_t mEnd = 0;   // bytes of the file so far, less what the buffer holds
+};
+
+} // namespace vdb_nns

@@ -1,0 +1,326 @@
+// PointFile: picks the reader of a format, keeps what it read, and describes it. Knows nothing of OpenVDB.
+#include "vdb_nns/point_file.h"
+
+#include "io/array_readers.h"
+#include "points/particle_source.h"
+#include "io/vdb_file.h"
+#include "util/cancel.h"
+#include "util/isolate.h"
+#include "util/memory.h"
+#include "vdb_nns/error.h"
+
+#include <oneapi/tbb/blocked_range.h>
+#include <oneapi/tbb/parallel_for.h>
+#include <oneapi/tbb/parallel_reduce.h>
+
+#include <algorithm>
+#include <cctype>
+#include <cerrno>
+#include <cmath>
+#include <cstring>
+#include <filesystem>
+#include <limits>
+#include <mutex>
+#include <optional>
+#include <utility>
+
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+namespace vdb_nns {
+
+struct PointFile::Data {
+    std::unique_ptr<VdbFile> vdb; // null for array files
+    ParticleView view;            // keeps the memory of array files
+    PointFileInfo info;           // all but the pass over the positions
+    std::mutex mutex;             // of what follows
+    std::optional<PointFileInfo> fullInfo;
+};
+
+namespace {
+
+// What an array file left in memory: an .npy's bytes as they are, or the positions of a parsed file.
+struct ArrayStorage {
+    PageBlock bytes;
+    PositionArray positions;
+    ParticleView view;
+};
+
+// One read call each: large enough for the disk, small enough that threads share the copy out of the page
+// cache.
+constexpr std::size_t kReadBytes = std::size_t(8) << 20;
+// Positions decoded at once by a task of info(): 3 arrays of 4 KB on its stack.
+constexpr std::size_t kInfoBlock = 512;
+
+class InputDescriptor {
+public:
+    explicit InputDescriptor(const std::string& path) : mPath(path)
+    {
+        struct stat status {};
+        if (::stat(path.c_str(), &status) != 0) fail(errno);
+        // A pipe or a device has no size to hold a header's numbers against.
+        if (!S_ISREG(status.st_mode))
+            throw InputError(path + ": is not a regular file; give the name of one");
+        mDescriptor = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+        if (mDescriptor < 0) fail(errno);
+        mBytes = static_cast<std::size_t>(status.st_size);
+        char first = 0;
+        if (mBytes == 0 && ::pread(mDescriptor, &first, 1, 0) > 0) {
+            ::close(mDescriptor);
+            throw InputError(path + ": has content but no size, as files of /proc have; copy it first");
+        }
+    }
+
+    ~InputDescriptor() { ::close(mDescriptor); }
+    InputDescriptor(const InputDescriptor&) = delete;
+    InputDescriptor& operator=(const InputDescriptor&) = delete;
+
+    std::size_t bytes() const { return mBytes; }
+
+    // Thread-safe.
+    void readAt(std::size_t offset, char* out, std::size_t bytes) const
+    {
+        while (bytes > 0) {
+            const ssize_t got = ::pread(mDescriptor, out, bytes, static_cast<off_t>(offset));
+            if (got < 0 && errno == EINTR) continue;
+            if (got < 0) fail(errno);
+            if (got == 0) {
+                throw InputError(mPath + ": became shorter while it was read, at byte " +
+                                 std::to_string(offset));
+            }
+            out += got;
+            offset += static_cast<std::size_t>(got);
+            bytes -= static_cast<std::size_t>(got);
+        }
+    }
+
+private:
+    [[noreturn]] void fail(int error) const
+    {
+        throw InputError(mPath + ": cannot be read: " + std::strerror(error) +
+                         "; check the name and the permissions");
+    }
+
+    std::string mPath;
+    int mDescriptor = -1;
+    std::size_t mBytes = 0;
+};
+
+PageBlock readBytes(const InputDescriptor& file, const CancelCheck& cancel)
+{
+    if (file.bytes() == 0) return {};
+    PageBlock block(file.bytes());
+    char* const out = static_cast<char*>(block.data());
+    const std::size_t pieces = (file.bytes() + kReadBytes - 1) / kReadBytes;
+    tbb::parallel_for(std::size_t(0), pieces, [&](std::size_t i) {
+        cancel.check();
+        const std::size_t offset = i * kReadBytes;
+        file.readAt(offset, out + offset, std::min(kReadBytes, file.bytes() - offset));
+    });
+    return block;
+}
+
+std::string lowerExtension(const std::string& path)
+{
+    const std::size_t dot = path.rfind('.');
+    const std::size_t slash = path.rfind('/');
+    if (dot == std::string::npos || (slash != std::string::npos && dot < slash)) return {};
+    std::string extension = path.substr(dot + 1);
+    for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+    return extension;
+}
+
+template <typename Real>
+ParticleView viewOfNpy(PageBlock& block, const NpyLayout& layout)
+{
+    char* values = static_cast<char*>(block.data()) + layout.dataOffset;
+    if (layout.dataOffset % sizeof(Real) != 0) { // only an old or odd writer's header ends so
+        values = static_cast<char*>(block.data());
+        std::memmove(values, values + layout.dataOffset, layout.count * 3 * sizeof(Real));
+    }
+    return ParticleView::fromArray(reinterpret_cast<const Real*>(values), layout.count);
+}
+
+// Reads the file of `info` and notes the type of its values there.
+ParticleView readArray(const InputDescriptor& file, std::uint64_t allowedBytes, const CancelCheck& cancel,
+                       PointFileInfo& info)
+{
+    const auto storage = std::make_shared<ArrayStorage>();
+    ArrayStorage& data = *storage;
+    data.bytes = readBytes(file, cancel);
+    const FileBytes bytes(static_cast<const unsigned char*>(data.bytes.data()), file.bytes());
+    bool isDouble = false;
+    if (info.format == "npy") {
+        const NpyLayout layout = parseNpy(info.path, bytes);
+        isDouble = layout.isDouble;
+        data.view = isDouble ? viewOfNpy<double>(data.bytes, layout) : viewOfNpy<float>(data.bytes, layout);
+    } else {
+        const std::uint64_t left = allowedBytes - file.bytes();
+        data.positions = info.format == "ply" ? parsePly(info.path, bytes, left, cancel)
+                                              : parseXyz(info.path, bytes, left, cancel);
+        data.bytes = {};
+        const PositionArray& positions = data.positions;
+        isDouble = positions.floats.empty();
+        data.view = isDouble ? ParticleView::fromArray(positions.doubles.data(), positions.size())
+                             : ParticleView::fromArray(positions.floats.data(), positions.size());
+    }
+    info.codec = isDouble ? "float64" : "float32";
+    // Copies of the view keep the storage.
+    return ParticleView(std::shared_ptr<const ParticleSource>(storage, &data.view.source()));
+}
+
+// What one pass over the positions finds.
+struct Extent {
+    std::uint64_t nonfinite = 0;
+    Vec3d min{HUGE_VAL, HUGE_VAL, HUGE_VAL}, max{-HUGE_VAL, -HUGE_VAL, -HUGE_VAL};
+
+    void add(const Vec3d& p)
+    {
+        for (int k = 0; k < 3; ++k) {
+            min[k] = std::min(min[k], p[k]);
+            max[k] = std::max(max[k], p[k]);
+        }
+    }
+};
+
+Extent joined(Extent a, const Extent& b)
+{
+    a.nonfinite += b.nonfinite;
+    a.add(b.min);
+    a.add(b.max);
+    return a;
+}
+
+Extent extentOf(const ParticleSource& source, std::size_t begin, std::size_t count, Extent extent)
+{
+    double x[kInfoBlock], y[kInfoBlock], z[kInfoBlock];
+    source.read(begin, count, Vec3d{}, x, y, z);
+    const Matrix3& m = source.linear();
+    const Vec3d& t = source.translation();
+    for (std::size_t i = 0; i < count; ++i) {
+        if (!std::isfinite(x[i]) || !std::isfinite(y[i]) || !std::isfinite(z[i])) {
+            ++extent.nonfinite;
+            continue;
+        }
+        Vec3d world{x[i], y[i], z[i]};
+        if (!source.isArray()) {
+            for (int k = 0; k < 3; ++k) world[k] = m[k][0] * x[i] + m[k][1] * y[i] + m[k][2] * z[i] + t[k];
+        }
+        extent.add(world);
+    }
+    return extent;
+}
+
+void measure(const ParticleSource& source, PointFileInfo& info)
+{
+    info.points = source.size();
+    const std::size_t blocks = (source.size() + kInfoBlock - 1) / kInfoBlock;
+    const Extent extent = tbb::parallel_reduce(
+        tbb::blocked_range<std::size_t>(0, blocks), Extent{},
+        [&](const tbb::blocked_range<std::size_t>& range, Extent sum) {
+            for (std::size_t block = range.begin(); block != range.end(); ++block) {
+                const std::size_t begin = block * kInfoBlock;
+                sum = extentOf(source, begin, std::min(kInfoBlock, source.size() - begin), sum);
+            }
+            return sum;
+        },
+        joined);
+    info.nonfinite = extent.nonfinite;
+    if (info.nonfinite < info.points) info.bbox = std::array<Vec3d, 2>{extent.min, extent.max};
+    for (int row = 0; row < 3; ++row) {
+        for (int column = 0; column < 3; ++column) info.transform[row][column] = source.linear()[row][column];
+        info.transform[row][3] = source.translation()[row];
+    }
+    info.transform[3] = {0, 0, 0, 1};
+}
+
+} // namespace
+
+void checkPointsFit(const std::string& path, std::uint64_t neededBytes, std::uint64_t allowedBytes)
+{
+    if (neededBytes <= allowedBytes) return;
+    throw CapacityError(path + ": its points alone need " + std::to_string(neededBytes) +
+                            " bytes of memory to be read, allowed are " + std::to_string(allowedBytes) +
+                            ": split the file, or let it have more memory",
+                        neededBytes, allowedBytes);
+}
+
+PointFile PointFile::read(const std::string& path, const PointFileOptions& options)
+{
+    PointFile result;
+    result.mData = std::make_shared<Data>();
+    Data& data = *result.mData;
+    data.info.path = path;
+    data.info.format = lowerExtension(path);
+    const std::string& format = data.info.format;
+    std::error_code error;
+    if (std::filesystem::is_directory(path, error)) {
+        throw InputError(path + ": is a folder; give the name of a file in it");
+    }
+    if (format != "vdb" && format != "npy" && format != "ply" && format != "xyz") {
+        throw InvalidInput(path + ": unknown extension '" + format +
+                           "'; point files are .vdb, .npy, .ply and .xyz");
+    }
+    if (format != "vdb" && !options.grid.empty()) {
+        throw InvalidInput(path + ": a ." + format + " file has no grids; leave the grid name '" +
+                           options.grid + "' out");
+    }
+    const InputDescriptor file(path); // of a .vdb too: it says what is wrong with a file that cannot be read
+    const std::uint64_t allowedBytes =
+        options.hostMemoryBytes ? options.hostMemoryBytes : availableMemoryBytes();
+    const auto readFile = [&] {
+        if (format == "vdb") {
+            data.vdb = VdbFile::read(path, options.grid, allowedBytes, options.progress);
+            data.view = data.vdb->view();
+            data.vdb->describe(data.info);
+        } else {
+            const CancelCheck cancel(options.progress, "read");
+            cancel.update(0);
+            checkPointsFit(path, file.bytes(), allowedBytes);
+            data.view = readArray(file, allowedBytes, cancel, data.info);
+            cancel.update(1);
+        }
+    };
+    try {
+        isolated(readFile);
+    } catch (const std::bad_alloc&) {
+        throw CapacityError(path + ": the points of its " + std::to_string(file.bytes()) +
+                                " bytes do not fit the memory: split the file or use a machine with more",
+                            file.bytes(), allowedBytes);
+    }
+    return result;
+}
+
+const ParticleView& PointFile::view() const
+{
+    return mData->view;
+}
+
+const PointFileInfo& PointFile::info() const
+{
+    Data& data = *mData;
+    {
+        const std::lock_guard<std::mutex> lock(data.mutex);
+        if (data.fullInfo) return *data.fullInfo;
+    }
+    // Not under the lock: whoever else asks meanwhile measures too, and the first one's result stays.
+    PointFileInfo info = data.info;
+    isolated([&] { measure(data.view.source(), info); });
+    const std::lock_guard<std::mutex> lock(data.mutex);
+    if (!data.fullInfo) data.fullInfo = std::move(info);
+    return *data.fullInfo;
+}
+
+void PointFile::writeVdb(const std::string& path, Span<const std::uint32_t> counts, const std::string& prefix,
+                         const OutputOptions& options, Progress* progress) const
+{
+    if (!mData->vdb) {
+        throw InvalidInput(mData->info.path +
+                           ": result attributes are written to .vdb files only, and this is a ." +
+                           mData->info.format + " file; write lists (.npz) instead");
+    }
+    isolated([&] { mData->vdb->write(path, counts, prefix + "count", options, progress); });
+}
+
+} // namespace vdb_nns

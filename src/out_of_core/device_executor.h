@@ -1,0 +1,122 @@
+// One device in a run: the memory of its slots, the blocks that it has in flight, and what it has done. Knows its BlockDevice
+// and blocks; nothing of the schedule, of other devices, and of who decides.
+//
+// Threads: everything that is public is called by the decider alone. A flight runs as a job: on the arena where the device is
+// simulated, else on a thread of its slot, where it sleeps while the device works. Until Flight::ended is true the flight is
+// that job's, then the decider's. A slot has one flight at a time: a device that is full() to the dispatcher begins none
+// before its oldest has ended.
+#pragma once
+
+#include "out_of_core/block_transfer.h"
+#include "out_of_core/block_split.h"
+#include "out_of_core/collector.h"
+#include "out_of_core/cpu_blocks.h"
+#include "search/engine_state.h"
+#include "out_of_core/job_queue.h"
+#include "out_of_core/run_progress.h"
+#include "shared/block_device.h"
+#include "vdb_nns/executor.h"
+#include "vdb_nns/schedule.h"
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace vdb_nns {
+
+// A block on a device, and what has come of it.
+struct Flight {
+    RunBlock block;
+    std::size_t slot = 0;
+    std::atomic<bool> ended{false};
+    FlownBlock flown;
+    Collector::Collected collected; // unless it has overflowed
+    double collectSeconds = 0;
+    std::vector<std::uint32_t> counts; // of its queries, after an overflow
+    std::string failure;               // of the device; the block is to be run elsewhere
+
+    std::uint64_t pairs() const;
+};
+
+// What the flights of all devices share. It outlives the jobs.
+struct FlightCrew {
+    EngineState& engine;
+    const SearchRun& run;
+    const MemoryModel& model;
+    Collector& collector;
+    CpuBlocks& cpu; // has the boundary regions
+    RunTally& tally;
+    JobQueue& jobs;
+};
+
+// Slots that a device can use.
+struct SlotNeed {
+    std::size_t slots = 0;
+    std::uint64_t bytes = 0; // each
+};
+
+// Of the flights that have come back: what a device's own clock says, and of what.
+struct DeviceWork {
+    StepTimes times;
+    std::uint64_t tests = 0, bytesUp = 0, bytesDown = 0;
+};
+
+class DeviceExecutor {
+public:
+    DeviceExecutor(std::unique_ptr<BlockDevice> device, const FlightCrew& crew)
+        : mDevice(std::move(device)), mCrew(crew)
+    {
+    }
+    DeviceExecutor(const DeviceExecutor&) = delete; // jobs have its address
+    DeviceExecutor& operator=(const DeviceExecutor&) = delete;
+
+    // Memory, and threads where it needs some, for the slots: as large as that, or half of it, and half of that, where the
+    // device refuses; fewer slots where threads are. Throws OutOfDeviceMemory when it refuses a small block, and DeviceError; it has no slots then.
+    void openSlots(const SlotNeed& need);
+    std::size_t slotCount() const { return mSlots.size(); }
+    std::uint64_t slotBytes() const { return mSlotBytes; }
+    std::uint64_t halvings() const { return mHalvings; } // of what was asked for
+
+    // The device itself, once nothing flies; after that, only what has been measured is left.
+    std::unique_ptr<BlockDevice> close() { return std::move(mDevice); }
+
+    // One that could not be opened, a null device, has no slots, and no times of its own.
+    bool isSimulated() const { return !mDevice || mDevice->isSimulated(); }
+    std::uint64_t peakBytes() const { return mDevice ? mDevice->peakBytes() : 0; }
+
+    // There is a slot for it.
+    void begin(RunBlock block);
+    bool isFlying() const { return !mFlights.empty(); }
+    bool oldestHasEnded() const { return isFlying() && mFlights.front()->ended; }
+    // The flight that was begun first, once it has ended; meanwhile the caller works on jobs. Throws what a job threw.
+    std::unique_ptr<Flight> awaitOldest();
+
+    // Adds a flight that has come back.
+    void measure(const Flight& flight);
+    const DeviceWork& work() const { return mWork; }
+
+private:
+    bool tryOpenSlots(const SlotNeed& need);
+    void startThreads();
+    void requireRoom(const RunBlock& block) const;
+    void fly(Flight& flight) const;
+
+    std::unique_ptr<BlockDevice> mDevice;
+    const FlightCrew mCrew;
+    std::vector<DeviceSlot> mSlots;
+    std::vector<std::size_t> mThreads; // of the slots, where they have some
+    std::uint64_t mSlotBytes = 0, mHalvings = 0;
+    std::size_t mBegun = 0;
+    DeviceWork mWork;
+    std::deque<std::unique_ptr<Flight>> mFlights; // oldest first
+};
+
+// What a device has turned out to do in a second; `before` where it has done nothing yet. Latency is in its times.
+Rates ratesOf(const DeviceWork& work, const Rates& before);
+
+} // namespace vdb_nns

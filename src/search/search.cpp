@@ -1,0 +1,225 @@
+// The search on the CPU: every task of the grid on the caller's TBB arena. And the engine, which keeps memory between runs.
+#include "vdb_nns/search.h"
+
+#include "search/engine_state.h"
+#include "out_of_core/run_schedule.h"
+#include "util/isolate.h"
+#include "util/known_value.h"
+#include "util/sole_owner.h"
+#include "util/wall_clock.h"
+#include "vdb_nns/error.h"
+
+#include <atomic>
+#include <cmath>
+#include <string>
+
+namespace vdb_nns {
+
+SearchEngine::SearchEngine() : mImpl(std::make_unique<Impl>()) {}
+SearchEngine::~SearchEngine() = default;
+SearchEngine::SearchEngine(SearchEngine&&) noexcept = default;
+SearchEngine& SearchEngine::operator=(SearchEngine&&) noexcept = default;
+
+void SearchEngine::releaseDevices()
+{
+    mImpl->devices.clear();
+}
+
+const SearchStatistics& SearchEngine::statistics() const
+{
+    return mImpl->statistics;
+}
+
+SparseGrid SearchEngine::buildGrid(const ParticleView& view, double radius, const SearchOptions& options)
+{
+    if (!(radius > 0) || std::isinf(radius)) {
+        throw InvalidInput("radius " + std::to_string(radius) + " is not a positive finite number");
+    }
+    checkOptions(options);
+    return isolated([&] {
+        const double start = wallSeconds();
+        // The last lists hold the last grid; when nobody else reads them they let go of it.
+        if (isSoleOwner(mImpl->lists)) mImpl->lists->grid = SparseGrid();
+        if (!isSoleOwner(mImpl->grid)) mImpl->grid = std::make_shared<SparseGridData>();
+        buildSparseGrid(view, radius, options, mImpl->scratch, *mImpl->grid);
+        // Under a bound the memory of the sort is better spent on lists.
+        if (options.hostMemoryBytes) mImpl->scratch = GridScratch();
+        mImpl->statistics.gridSeconds = wallSeconds() - start;
+        return SparseGrid(mImpl->grid);
+    });
+}
+
+NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& options)
+{
+    checkOptions(options);
+    return isolated([&] {
+        const double start = wallSeconds();
+        const std::shared_ptr<NeighborListsData> result = mImpl->beginLists(grid, options.encoding);
+        const SearchRun run(grid.data(), options);
+        mImpl->beginStatistics(options);
+        ChunkPool pool(std::move(result->chunks));
+        const std::uint64_t allowed = mImpl->allowRows(run, options, 0, *result, pool);
+        try {
+            forEachTask(run.grid, run.pieces, mImpl->states, run.cancel,
+                        [&](ThreadState& state, const SearchTask& task) {
+                            mImpl->makeRows(run, task, state, pool, *result);
+                        });
+        } catch (const ChunkPool::Exhausted&) {
+            throw listsDoNotFit(options.encoding, false, pool.takenBytes(), allowed);
+        }
+        mImpl->finishLists(run, pool, *result);
+        mImpl->lists = result;
+        mImpl->statistics.searchSeconds = wallSeconds() - start;
+        return NeighborLists(result);
+    });
+}
+
+NeighborLists SearchEngine::search(const SparseGrid& grid, const Schedule& schedule,
+                                   const std::vector<DeviceLimits>& devices, const RunOptions& options,
+                                   ScheduleRun& report)
+{
+    checkOptions(options.search);
+    requireKnown(options.onFailure, DeviceFailure::kUseCpu, "treatment of failed devices");
+    requireKnown(options.schedule.boundary, BoundaryMode::kAuto, "boundary mode");
+    requireKnown(schedule.model.encoding, Encoding::kNone, "encoding of the schedule");
+    return isolated([&] {
+        const double start = wallSeconds();
+        const NeighborLists lists = runSchedule(*mImpl, grid, schedule, devices, options, report);
+        mImpl->statistics.searchSeconds = wallSeconds() - start;
+        return lists;
+    });
+}
+
+namespace {
+
+// Adds the distances of a row.
+class DistanceTaker final : public RowTaker {
+public:
+    DistanceTaker(const SearchRun& run, const NeighborVisitor& visitor, std::vector<double>& distances)
+        : mGrid(run.grid), mCancel(run.cancel), mVisitor(visitor), mDistances(distances)
+    {
+    }
+
+    void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) override
+    {
+        const std::uint32_t query = mGrid.number[slot];
+        if (count >= kDistancesBetweenChecks) mCancel.check();
+        mDistances.resize(std::max<std::size_t>(mDistances.size(), count));
+        for (std::uint32_t k = 0; k < count; ++k) {
+            if ((k + 1) % kDistancesBetweenChecks == 0) mCancel.check();
+            mDistances[k] = mGrid.view.distance(query, neighbors[k]);
+        }
+        mVisitor(query, {neighbors, count}, {mDistances.data(), count});
+    }
+
+private:
+    static constexpr std::uint32_t kDistancesBetweenChecks = 1u << 18;
+
+    const SparseGridData& mGrid;
+    const CancelCheck& mCancel;
+    const NeighborVisitor& mVisitor;
+    std::vector<double>& mDistances;
+};
+
+class NumberTaker final : public RowTaker {
+public:
+    NumberTaker(const SparseGridData& grid, const RowVisitor& visitor) : mGrid(grid), mVisitor(visitor) {}
+
+    void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) override
+    {
+        mVisitor(mGrid.number[slot], {neighbors, count});
+    }
+
+private:
+    const SparseGridData& mGrid;
+    const RowVisitor& mVisitor;
+};
+
+// Runs all tasks; makeTaker(run, state) is what takes the rows of a task.
+template <typename MakeTaker>
+void visitTasks(EngineState& engine, const SparseGrid& grid, const SearchOptions& options,
+                MakeTaker&& makeTaker)
+{
+    checkOptions(options);
+    isolated([&] {
+        const double start = wallSeconds();
+        const SearchRun run(grid.data(), options);
+        engine.beginStatistics(options);
+        forEachTask(run.grid, run.pieces, engine.states, run.cancel,
+                    [&](ThreadState& state, const SearchTask& task) {
+                        auto taker = makeTaker(run, state);
+                        state.beginTaking(taker, task);
+                        state.judgeBy(run.exact, run.cancel);
+                        // Once a task, for the kernel calls the visitor too.
+                        isolated([&] {
+                            run.kernels.visit(run.context, task, state.judge(), state.halo, state.taken,
+                                              state.statistics);
+                            state.flushRows();
+                        });
+                    });
+        engine.sumStatistics();
+        engine.statistics.searchSeconds = wallSeconds() - start;
+    });
+}
+
+} // namespace
+
+void SearchEngine::visit(const SparseGrid& grid, const NeighborVisitor& visitor, const SearchOptions& options)
+{
+    visitTasks(*mImpl, grid, options, [&](const SearchRun& run, ThreadState& state) {
+        return DistanceTaker(run, visitor, state.distances);
+    });
+}
+
+void SearchEngine::visitRows(const SparseGrid& grid, const RowVisitor& visitor, const SearchOptions& options)
+{
+    visitTasks(*mImpl, grid, options,
+               [&](const SearchRun& run, ThreadState&) { return NumberTaker(run.grid, visitor); });
+}
+
+std::uint64_t countCandidateTests(const SparseGrid& grid)
+{
+    if (grid.empty()) return 0;
+    std::atomic<std::uint64_t> tests{0};
+    ThreadStates states;
+    isolated([&] {
+        forEachTask(grid.data(), makePieces(grid.data()), states, CancelCheck(nullptr, "count"),
+                    [&](ThreadState&, const SearchTask& task) {
+                        std::uint64_t sum = 0;
+                        forEachCandidateCount(blockViewOf(grid.data()), task,
+                                              [&](std::uint64_t queries, std::uint64_t candidates) {
+                                                  sum += queries * candidates;
+                                              });
+                        tests += sum;
+                    });
+    });
+    return tests;
+}
+
+NeighborLists SearchEngine::findNeighbors(const ParticleView& view, double radius,
+                                          const SearchOptions& options)
+{
+    return search(buildGrid(view, radius, options), options);
+}
+
+NeighborLists findNeighbors(const ParticleView& view, double radius, const SearchOptions& options)
+{
+    return SearchEngine().findNeighbors(view, radius, options);
+}
+
+std::vector<std::uint32_t> countNeighbors(const ParticleView& view, double radius,
+                                          const SearchOptions& options)
+{
+    SearchOptions counting = options;
+    counting.encoding = Encoding::kNone;
+    return SearchEngine().findNeighbors(view, radius, counting).counts();
+}
+
+void visitNeighbors(const ParticleView& view, double radius, const NeighborVisitor& visitor,
+                    const SearchOptions& options)
+{
+    SearchEngine engine;
+    engine.visit(engine.buildGrid(view, radius, options), visitor, options);
+}
+
+} // namespace vdb_nns

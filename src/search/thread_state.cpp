@@ -1,0 +1,155 @@
+// See thread_state.h.
+#include "search/thread_state.h"
+
+#include <algorithm>
+
+#include <tbb/task_arena.h>
+
+namespace vdb_nns {
+
+void ChunkPool::begin(std::uint64_t allowedBytes, std::size_t particles)
+{
+    // One chunk a thread may be nearly empty: no more than 1/8 of what is allowed goes that way. Large chunks keep rows
+    // on huge pages; small scenes take less, so that they do not touch a huge page for a few rows.
+    const auto threads = static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());
+    const std::uint64_t wanted =
+        std::clamp<std::uint64_t>(particles * 128 / threads, 65536, std::uint64_t(32) << 20);
+    mChunkBytes = std::max<std::uint64_t>(4096, std::min(wanted, allowedBytes / (8 * threads)));
+    mAllowedBytes = allowedBytes;
+}
+
+void* ChunkPool::take(std::size_t bytes, std::size_t& takenBytes)
+{
+    const std::lock_guard<std::mutex> lock(mMutex);
+    const auto enough =
+        std::find_if(mFree.begin(), mFree.end(), [&](const PageBlock& b) { return b.bytes() >= bytes; });
+    PageBlock block;
+    if (enough != mFree.end()) {
+        block = std::move(*enough);
+        *enough = std::move(mFree.back());
+        mFree.pop_back();
+    } else if (mTakenBytes + std::max(bytes, mChunkBytes) <= mAllowedBytes) {
+        bytes = std::max(bytes, mChunkBytes); // else no more than is needed
+    }
+    const std::size_t size = block.data() ? block.bytes() : bytes;
+    if (mTakenBytes + size > mAllowedBytes) {
+        mTakenBytes += size;
+        throw Exhausted();
+    }
+    if (!block.data()) block = PageBlock(bytes);
+    takenBytes = block.bytes();
+    mTakenBytes += takenBytes;
+    mTaken.push_back(std::move(block));
+    return mTaken.back().data();
+}
+
+std::uint64_t ChunkPool::freeBytes() const
+{
+    std::uint64_t bytes = 0;
+    for (const PageBlock& block : mFree) bytes += block.bytes();
+    return bytes;
+}
+
+ThreadState::ThreadState() : halo{}, sink{}, taken{}
+{
+    halo.owner = this;
+    halo.reserve = reserveHalo;
+    sink.owner = taken.owner = this;
+    sink.grow = growRows;
+    taken.grow = growTaken;
+    begin();
+}
+
+void ThreadState::begin()
+{
+    statistics = {};
+    exactPairs = maskBytes = 0;
+    maskRuns.clear();
+    mExactMemory = {};
+    sink.out = sink.end = nullptr;
+    sink.tailSize = 0;
+}
+
+bool ThreadState::judgePair(void* state, std::uint32_t query, std::uint32_t candidate)
+{
+    constexpr std::uint32_t kPairsBetweenChecks = 1u << 14; // some milliseconds
+    auto& self = *static_cast<ThreadState*>(state);
+    if (++self.mJudged % kPairsBetweenChecks == 0) self.mCancel->check();
+    return self.mExact->isNeighbor(query, candidate, self.mExactMemory, self.exactPairs);
+}
+
+void ThreadState::judgeBy(const ExactTest& exact, const CancelCheck& cancel)
+{
+    mExact = &exact;
+    mCancel = &cancel;
+}
+
+void ThreadState::finishRows()
+{
+    std::copy_n(sink.tail, sink.tailSize, sink.out);
+    sink.tailSize = 0;
+}
+
+BandJudge ThreadState::judge()
+{
+    return {this, judgePair};
+}
+
+void ThreadState::reserveHalo(HaloScratch& scratch, std::size_t particles)
+{
+    if (particles <= scratch.capacity && scratch.base) return;
+    auto& self = *static_cast<ThreadState*>(scratch.owner);
+    const std::size_t capacity = particles + particles / 2 + 1024;
+    // Vector code reads and writes up to two vectors past the end. An odd number of lines keeps the arrays from falling
+    // on the same cache sets.
+    scratch.stride = ((capacity + HaloScratch::kStagingSlack) * sizeof(float) / 64 | 1) * 64;
+    self.mHaloMemory = PageBlock();
+    self.mHaloMemory = PageBlock(HaloScratch::kStrides * scratch.stride);
+    scratch.base = static_cast<char*>(self.mHaloMemory.data());
+    scratch.capacity = capacity;
+}
+
+void ThreadState::growRows(RowSink& sink, std::size_t entries)
+{
+    auto& self = *static_cast<ThreadState*>(sink.owner);
+    if (static_cast<std::size_t>(sink.end - sink.out) >= entries) return;
+    self.finishRows();
+    std::size_t bytes = 0;
+    sink.out = static_cast<std::uint32_t*>(self.pool->take(entries * sizeof(std::uint32_t), bytes));
+    sink.end = sink.out + bytes / sizeof(std::uint32_t);
+}
+
+void ThreadState::beginTaking(RowTaker& taker, const SearchTask& task)
+{
+    mTaker = &taker;
+    const std::size_t queries = task.endSlot - task.firstSlot;
+    mTakenBegin.resize(queries);
+    mTakenCount.assign(queries, 0);
+    taken.slotBase = taken.nextSlot = mTaken = task.firstSlot;
+    taken.rowBegin = mTakenBegin.data();
+    taken.rowCount = mTakenCount.data();
+}
+
+void ThreadState::growTaken(RowSink& sink, std::size_t entries)
+{
+    constexpr std::size_t kTakenEntries = 65536; // 256 KB: stays in the second-level cache
+    auto& self = *static_cast<ThreadState*>(sink.owner);
+    self.flushRows();
+    if (self.mTakenRows.bytes() < entries * sizeof(std::uint32_t)) {
+        self.mTakenRows = PageBlock();
+        self.mTakenRows = PageBlock(std::max(entries, kTakenEntries) * sizeof(std::uint32_t));
+    }
+    sink.out = static_cast<std::uint32_t*>(self.mTakenRows.data());
+    sink.end = sink.out + self.mTakenRows.bytes() / sizeof(std::uint32_t);
+}
+
+void ThreadState::flushRows()
+{
+    for (; mTaken < taken.nextSlot; ++mTaken) {
+        const std::uint32_t row = mTaken - taken.slotBase;
+        mTaker->take(mTaken, mTakenBegin[row], mTakenCount[row]);
+    }
+    taken.out = static_cast<std::uint32_t*>(mTakenRows.data());
+}
+
+} // namespace vdb_nns

@@ -1,0 +1,99 @@
+// What one thread of a search owns: scratch memory, the sink of its rows, counters. And the chunks that rows live in.
+#pragma once
+
+#include "exact/exact_test.h"
+#include "cpu/search_task.h"
+#include "grid/sparse_grid_data.h"
+#include "lists/neighbor_lists_data.h"
+#include "util/cancel.h"
+#include "util/memory.h"
+#include "vdb_nns/search.h"
+
+#include <tbb/enumerable_thread_specific.h>
+
+#include <cstdint>
+#include <mutex>
+#include <vector>
+
+namespace vdb_nns {
+
+// Hands out chunks of list memory, old ones first, up to a limit.
+class ChunkPool {
+public:
+    struct Exhausted {};
+
+    explicit ChunkPool(std::vector<PageBlock> old) : mFree(std::move(old)) {}
+
+    void begin(std::uint64_t allowedBytes, std::size_t particles);
+
+    // A chunk of at least `bytes` bytes. Throws Exhausted when the chunks' bytes would pass the limit. Thread-safe.
+    void* take(std::size_t bytes, std::size_t& takenBytes);
+
+    std::uint64_t freeBytes() const;
+    std::uint64_t takenBytes() const { return mTakenBytes; }
+    std::vector<PageBlock> release() { return std::move(mTaken); }
+
+private:
+    std::mutex mMutex;
+    std::vector<PageBlock> mFree, mTaken;
+    std::size_t mChunkBytes = 0;
+    std::uint64_t mAllowedBytes = 0, mTakenBytes = 0;
+};
+
+// Takes rows of numbers as they are made, in the order of slots. The numbers are valid during the call.
+class RowTaker {
+public:
+    virtual ~RowTaker() = default;
+    virtual void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) = 0;
+};
+
+struct ThreadState {
+    ThreadState();
+    ThreadState(const ThreadState&) = delete;
+    ThreadState& operator=(const ThreadState&) = delete;
+
+    // Forgets the last search but for its memory.
+    void begin();
+    // Puts the entries that streamed rows still hold back where they belong.
+    void finishRows();
+    // What judge() asks from now on.
+    void judgeBy(const ExactTest& exact, const CancelCheck& cancel);
+    BandJudge judge();
+
+    // Rows of the coming task, by Kernels::visit, go to `taker` instead of into lists. Queries outside of the task's cells
+    // have empty rows.
+    void beginTaking(RowTaker& taker, const SearchTask& task);
+    void flushRows();
+
+    HaloScratch halo;
+    RowSink sink;  // rows into lists
+    RowSink taken; // rows that are handed to a RowTaker
+    TaskStatistics statistics;
+    std::uint64_t exactPairs = 0;
+    std::uint64_t maskBytes = 0;
+    std::vector<LeafNeighborhood> neighborhoods;
+    std::vector<MaskRun> maskRuns;
+    ChunkPool* pool = nullptr;
+    std::vector<double> distances;
+
+private:
+    static void reserveHalo(HaloScratch& scratch, std::size_t particles);
+    static void growRows(RowSink& sink, std::size_t entries);
+    static void growTaken(RowSink& sink, std::size_t entries);
+    static bool judgePair(void* state, std::uint32_t query, std::uint32_t candidate);
+
+    const ExactTest* mExact = nullptr;
+    const CancelCheck* mCancel = nullptr;
+    std::uint32_t mJudged = 0; // pairs, for asking whether to stop
+    PageBlock mHaloMemory;
+    PageBlock mTakenRows; // numbers of neighbors
+    std::vector<std::uint32_t*> mTakenBegin;
+    std::vector<std::uint32_t> mTakenCount;
+    RowTaker* mTaker = nullptr;
+    std::uint32_t mTaken = 0; // slots before it were handed out
+    ExactTestMemory mExactMemory;
+};
+
+using ThreadStates = tbb::enumerable_thread_specific<ThreadState>;
+
+} // namespace vdb_nns
