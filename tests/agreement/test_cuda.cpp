@@ -2,7 +2,7 @@
 // budget and whoever runs the boundary. Compiled twice: with the emulated device layer, which runs everywhere, and as it
 // is, for a real device: then tests are skipped where there is none, or fail if VDB_NNS_REQUIRE_GPU=1.
 #include "support/comparator.h"
-#include "unit/workload_cases.h"
+#include "plan/workload_cases.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/executor.h"
 

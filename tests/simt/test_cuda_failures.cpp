@@ -1,6 +1,6 @@
 // What happens when a CUDA call fails: memory that is refused makes blocks smaller and in the end leaves them to the CPU; any
 // other failure is a DeviceError that names the call, or leaves the device's blocks to the CPU. Nothing leaks either way.
-#include "unit/workload_cases.h"
+#include "plan/workload_cases.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/executor.h"
 

@@ -1,6 +1,6 @@
 // The truth: who is a neighbor, by brute force over all pairs in exact integer arithmetic. Shares nothing with the engine
 // but the definition: i and j are neighbors iff i != j and |M ((voxel_j - voxel_i) + (offset_j - offset_i))| <= radius in
-// real arithmetic. Hand-worked tests of its own: tests/unit/test_oracle.cpp.
+// real arithmetic. Hand-worked tests of its own: tests/support/test_oracle.cpp.
 #pragma once
 
 #include <array>

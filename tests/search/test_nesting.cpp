@@ -2,7 +2,7 @@
 // visitors and a Progress with loops of their own, files that tasks share. Threads that wait take whatever task they may, so
 // what goes wrong depends on timing: every case is run in many rounds, on arenas of 1 to 8 threads.
 #include "agreement/point_views.h"
-#include "unit/workload_cases.h"
+#include "plan/workload_cases.h"
 #include "vdb_nns/executor.h"
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/scene.h"

@@ -1,5 +1,5 @@
 // What a Progress throws leaves every step as it is, whenever it throws; files that are written are not there then.
-#include "unit/workload_cases.h"
+#include "plan/workload_cases.h"
 #include "vdb_nns/executor.h"
 #include "vdb_nns/point_file.h"
 

@@ -4,7 +4,7 @@
 #include "out_of_core/run_schedule.h"
 #include "out_of_core/simulated_device.h"
 #include "plan/dispatcher.h"
-#include "unit/workload_cases.h"
+#include "plan/workload_cases.h"
 #include "vdb_nns/error.h"
 
 #include <gtest/gtest.h>

@@ -1,6 +1,6 @@
 // How soon a step ends that is asked to stop, where its pieces are as large as they come: many particles at one point. And
 // how often the readers of files ask.
-#include "unit/workload_cases.h"
+#include "plan/workload_cases.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/executor.h"
 #include "vdb_nns/point_file.h"

@@ -1,7 +1,7 @@
 // The parts of a block are all of it, and each fits as far as anything is known.
 #include "out_of_core/block_split.h"
 #include "lists/neighbor_lists_data.h"
-#include "unit/workload_cases.h"
+#include "plan/workload_cases.h"
 #include "vdb_nns/error.h"
 
 #include <gtest/gtest.h>
