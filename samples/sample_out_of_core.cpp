@@ -1,6 +1,6 @@
 // A search on a device that is too small for it: estimate, workload tree, schedule, run. The device is a simulated one with
 // 8 MiB; the lists are those of a search on the CPU.
-#include <vdb_nns/executor.h>
+#include <vdb_nns/planning/executor.h>
 #include <vdb_nns/scene.h>
 #include <vdb_nns/search.h>
 

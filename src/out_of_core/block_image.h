@@ -12,7 +12,7 @@
 #include "grid/sparse_grid_data.h"
 #include "shared/block_view.h"
 #include "vdb_nns/search_options.h"
-#include "vdb_nns/workload_tree.h"
+#include "vdb_nns/planning/workload_tree.h"
 #include "plan/block_halo.h"
 
 #include <cstddef>

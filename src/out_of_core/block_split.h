@@ -6,7 +6,7 @@
 #include "out_of_core/block_image.h"
 #include "grid/sparse_grid_data.h"
 #include "plan/dispatcher.h"
-#include "vdb_nns/schedule.h"
+#include "vdb_nns/planning/schedule.h"
 
 #include <cstddef>
 #include <cstdint>

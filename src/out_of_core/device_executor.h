@@ -15,8 +15,8 @@
 #include "out_of_core/job_queue.h"
 #include "out_of_core/run_progress.h"
 #include "shared/block_device.h"
-#include "vdb_nns/executor.h"
-#include "vdb_nns/schedule.h"
+#include "vdb_nns/planning/executor.h"
+#include "vdb_nns/planning/schedule.h"
 
 #include <atomic>
 #include <cstddef>

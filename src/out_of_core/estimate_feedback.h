@@ -5,7 +5,7 @@
 #include "out_of_core/block_split.h"
 #include "plan/dispatcher.h"
 #include "shared/block_result.h"
-#include "vdb_nns/schedule.h"
+#include "vdb_nns/planning/schedule.h"
 
 #include <cstdint>
 

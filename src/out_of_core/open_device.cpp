@@ -4,7 +4,7 @@
 #include "cuda/launch.h"
 #include "out_of_core/simulated_device.h"
 #include "vdb_nns/error.h"
-#include "vdb_nns/executor.h"
+#include "vdb_nns/planning/executor.h"
 
 #include <algorithm>
 #include <thread>

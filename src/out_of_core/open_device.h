@@ -3,7 +3,7 @@
 
 #include "search/engine_state.h"
 #include "shared/block_device.h"
-#include "vdb_nns/schedule.h"
+#include "vdb_nns/planning/schedule.h"
 
 #include <functional>
 #include <memory>

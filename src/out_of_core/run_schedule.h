@@ -3,7 +3,7 @@
 
 #include "search/engine_state.h"
 #include "out_of_core/open_device.h"
-#include "vdb_nns/executor.h"
+#include "vdb_nns/planning/executor.h"
 
 #include <vector>
 

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "grid/sparse_grid_data.h"
-#include "vdb_nns/workload_tree.h"
+#include "vdb_nns/planning/workload_tree.h"
 
 #include <cstdint>
 #include <vector>

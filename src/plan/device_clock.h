@@ -3,7 +3,7 @@
 // so a block is begun, and finished later, in the same order. The clock of a real device is set by the one on the wall.
 #pragma once
 
-#include "vdb_nns/schedule.h"
+#include "vdb_nns/planning/schedule.h"
 
 #include <algorithm>
 #include <cstddef>

@@ -3,7 +3,7 @@
 #pragma once
 
 #include "plan/device_clock.h"
-#include "vdb_nns/schedule.h"
+#include "vdb_nns/planning/schedule.h"
 
 #include <cstddef>
 #include <cstdint>

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "grid/sparse_grid_data.h"
-#include "vdb_nns/work_estimate.h"
+#include "vdb_nns/planning/work_estimate.h"
 
 namespace vdb_nns {
 

@@ -1,6 +1,6 @@
 // See schedule.h. Three steps, each a function: cut the tree into blocks; hand them out in predicted time; with
 // BoundaryMode::kAuto do both for either mode and take what ends first.
-#include "vdb_nns/schedule.h"
+#include "vdb_nns/planning/schedule.h"
 
 #include "lists/cell_candidates.h"
 #include "plan/dispatcher.h"

@@ -8,7 +8,7 @@
 //   * a few queries of one cell at a time: finding the candidates of one is what costs, and neighbors in a cell differ
 //   * between parts by the root of their particles: in proportion the small parts are wrong, with equal numbers the large
 //   * of as many places as a part needs on average, and fewer where they would cost more than a small share of the search
-#include "vdb_nns/work_estimate.h"
+#include "vdb_nns/planning/work_estimate.h"
 
 #include "plan/overlap_table.h"
 #include "plan/occupancy_sample.h"

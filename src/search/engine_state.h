@@ -12,7 +12,7 @@
 #include "shared/block_device.h"
 #include "util/cancel.h"
 #include "vdb_nns/error.h"
-#include "vdb_nns/schedule.h"
+#include "vdb_nns/planning/schedule.h"
 #include "vdb_nns/search.h"
 
 #include <cstdint>

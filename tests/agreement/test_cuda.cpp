@@ -4,7 +4,7 @@
 #include "support/comparator.h"
 #include "plan/workload_cases.h"
 #include "vdb_nns/error.h"
-#include "vdb_nns/executor.h"
+#include "vdb_nns/planning/executor.h"
 
 #include <gtest/gtest.h>
 

@@ -4,7 +4,7 @@
 #include "out_of_core/run_schedule.h"
 #include "out_of_core/simulated_device.h"
 #include "vdb_nns/error.h"
-#include "vdb_nns/executor.h"
+#include "vdb_nns/planning/executor.h"
 #include "workload_cases.h"
 
 #include <gtest/gtest.h>

@@ -2,7 +2,7 @@
 #include "plan/device_clock.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/scene.h"
-#include "vdb_nns/schedule.h"
+#include "vdb_nns/planning/schedule.h"
 #include "plan/block_halo.h"
 #include "workload_cases.h"
 

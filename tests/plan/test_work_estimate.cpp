@@ -12,7 +12,7 @@
 #include "support/comparator.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/scene.h"
-#include "vdb_nns/work_estimate.h"
+#include "vdb_nns/planning/work_estimate.h"
 #include "workload_cases.h"
 
 #include <gtest/gtest.h>

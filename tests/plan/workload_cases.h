@@ -3,8 +3,8 @@
 
 #include "agreement/point_views.h"
 #include "vdb_nns/scene.h"
-#include "vdb_nns/schedule.h"
-#include "vdb_nns/workload_tree.h"
+#include "vdb_nns/planning/schedule.h"
+#include "vdb_nns/planning/workload_tree.h"
 
 #include <gtest/gtest.h>
 

@@ -2,7 +2,7 @@
 // how often the readers of files ask.
 #include "plan/workload_cases.h"
 #include "vdb_nns/error.h"
-#include "vdb_nns/executor.h"
+#include "vdb_nns/planning/executor.h"
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/scene.h"
 #include "verify/lists_reader.h"

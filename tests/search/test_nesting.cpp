@@ -3,7 +3,7 @@
 // what goes wrong depends on timing: every case is run in many rounds, on arenas of 1 to 8 threads.
 #include "agreement/point_views.h"
 #include "plan/workload_cases.h"
-#include "vdb_nns/executor.h"
+#include "vdb_nns/planning/executor.h"
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/scene.h"
 

@@ -1,6 +1,6 @@
 // What a Progress throws leaves every step as it is, whenever it throws; files that are written are not there then.
 #include "plan/workload_cases.h"
-#include "vdb_nns/executor.h"
+#include "vdb_nns/planning/executor.h"
 #include "vdb_nns/point_file.h"
 
 #include <gtest/gtest.h>

@@ -2,7 +2,7 @@
 // other failure is a DeviceError that names the call, or leaves the device's blocks to the CPU. Nothing leaks either way.
 #include "plan/workload_cases.h"
 #include "vdb_nns/error.h"
-#include "vdb_nns/executor.h"
+#include "vdb_nns/planning/executor.h"
 
 #include <cuda_runtime_api.h>
 #include <gtest/gtest.h>

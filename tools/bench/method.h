@@ -5,7 +5,7 @@
 #include "bench/methods/device_measures.h"
 #include "progress_printer.h"
 #include "vdb_nns/particle_view.h"
-#include "vdb_nns/schedule.h"
+#include "vdb_nns/planning/schedule.h"
 #include "vdb_nns/search_options.h"
 
 #include <cstdint>

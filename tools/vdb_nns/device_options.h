@@ -1,7 +1,7 @@
 // Flags that say on which devices a search runs, how its work is estimated and how it is cut into blocks.
 #pragma once
 
-#include "vdb_nns/executor.h"
+#include "vdb_nns/planning/executor.h"
 
 #include <CLI/CLI.hpp>
 

@@ -1,8 +1,8 @@
 // What a run on devices took: plain data, and the figures that follow from it.
 #pragma once
 
-#include "vdb_nns/executor.h"
-#include "vdb_nns/schedule.h"
+#include "vdb_nns/planning/executor.h"
+#include "vdb_nns/planning/schedule.h"
 
 #include <cstdint>
 #include <optional>

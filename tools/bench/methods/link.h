@@ -1,7 +1,7 @@
 // How fast bytes travel between host and device.
 #pragma once
 
-#include "vdb_nns/schedule.h"
+#include "vdb_nns/planning/schedule.h"
 
 #include <cstdint>
 #include <optional>

@@ -5,7 +5,7 @@
 #include "device_options.h"
 #include "numbers.h"
 #include "vdb_nns/error.h"
-#include "vdb_nns/schedule.h"
+#include "vdb_nns/planning/schedule.h"
 #include "vdb_nns/search.h"
 
 #include <algorithm>

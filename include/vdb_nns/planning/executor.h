@@ -1,7 +1,7 @@
 // Running a schedule: who ran what, and where the model was wrong. Plain data; SearchEngine::search() runs it.
 #pragma once
 
-#include "vdb_nns/schedule.h"
+#include "vdb_nns/planning/schedule.h"
 #include "vdb_nns/search_options.h"
 
 #include <cstdint>

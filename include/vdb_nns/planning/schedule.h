@@ -2,7 +2,7 @@
 // runs; executors decide only timing.
 #pragma once
 
-#include "vdb_nns/workload_tree.h"
+#include "vdb_nns/planning/workload_tree.h"
 
 #include <cstdint>
 #include <string>

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "vdb_nns/search_options.h"
-#include "vdb_nns/work_estimate.h"
+#include "vdb_nns/planning/work_estimate.h"
 
 #include <cstdint>
 #include <vector>
