@@ -4,8 +4,8 @@
 // Internal linkage; see simd.h.
 #pragma once
 
-#include "cpu/search_task.h"
 #include "cpu/leaves_in_reach-inl.h"
+#include "cpu/search_task.h"
 
 namespace vdb_nns {
 namespace {

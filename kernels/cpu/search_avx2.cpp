@@ -2,9 +2,9 @@
 #define VDB_NNS_SIMD_AVX2
 #include "cpu/expect_cells-inl.h"
 #include "cpu/kernels.h"
-#include "cpu/search_task-inl.h"
-#include "cpu/sample_cubes-inl.h"
 #include "cpu/locate_axis-inl.h"
+#include "cpu/sample_cubes-inl.h"
+#include "cpu/search_task-inl.h"
 
 namespace vdb_nns {
 

@@ -1,9 +1,9 @@
 // The kernels in plain C++. Compiled with the flags of that instruction set; see simd.h.
 #include "cpu/expect_cells-inl.h"
 #include "cpu/kernels.h"
-#include "cpu/search_task-inl.h"
-#include "cpu/sample_cubes-inl.h"
 #include "cpu/locate_axis-inl.h"
+#include "cpu/sample_cubes-inl.h"
+#include "cpu/search_task-inl.h"
 
 namespace vdb_nns {
 

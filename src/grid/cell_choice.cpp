@@ -7,10 +7,10 @@
 //   2. Else a pilot: one pass over all particles, which keeps those of some cubes of 6 radii, drawn by a hash of their
 //      coordinates, and counts in these what each size would cost.
 #include "cpu/kernels.h"
+#include "cpu/round_down-inl.h"
 #include "grid/cell_map.h"
 #include "grid/leaf_table.h"
 #include "grid/placement.h"
-#include "cpu/round_down-inl.h"
 #include "points/particle_source.h"
 
 #include <tbb/parallel_for.h>

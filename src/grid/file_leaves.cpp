@@ -3,8 +3,8 @@
 
 #include "grid/cell_map.h"
 #include "grid/leaf_table.h"
-#include "points/particle_source.h"
 #include "points/occupied_voxels.h"
+#include "points/particle_source.h"
 #include "util/cancel.h"
 
 #include <tbb/parallel_for.h>

@@ -8,9 +8,9 @@
 // Where the leaves of a file serve as they are, nothing of this is done: see file_leaves.h.
 #include "vdb_nns/sparse_grid.h"
 
+#include "cpu/leaves_in_reach-inl.h"
 #include "grid/cell_map.h"
 #include "grid/file_leaves.h"
-#include "cpu/leaves_in_reach-inl.h"
 #include "grid/placement.h"
 #include "grid/sparse_grid_data.h"
 #include "points/particle_source.h"

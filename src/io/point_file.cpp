@@ -2,8 +2,8 @@
 #include "vdb_nns/point_file.h"
 
 #include "io/array_readers.h"
-#include "points/particle_source.h"
 #include "io/vdb_file.h"
+#include "points/particle_source.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
 #include "util/memory.h"

@@ -1,10 +1,10 @@
 // Reads the point grid of a .vdb file, and writes the file again with one attribute more.
 #include "io/vdb_file.h"
 
-#include "io/output_file.h"
 #include "io/array_readers.h"
-#include "points/particle_source.h"
+#include "io/output_file.h"
 #include "io/vdb_archive.h"
+#include "points/particle_source.h"
 #include "util/cancel.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/memory.h"

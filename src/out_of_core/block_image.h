@@ -10,10 +10,10 @@
 #pragma once
 
 #include "grid/sparse_grid_data.h"
-#include "shared/block_view.h"
-#include "vdb_nns/search_options.h"
-#include "vdb_nns/planning/workload_tree.h"
 #include "plan/block_halo.h"
+#include "shared/block_view.h"
+#include "vdb_nns/planning/workload_tree.h"
+#include "vdb_nns/search_options.h"
 
 #include <cstddef>
 #include <cstdint>

@@ -1,11 +1,11 @@
 // See block_parts.h.
 #include "out_of_core/block_split.h"
 
-#include "search/leaf_tasks.h"
 #include "lists/cell_candidates.h"
+#include "plan/block_halo.h"
+#include "search/leaf_tasks.h"
 #include "shared/block_result.h"
 #include "vdb_nns/error.h"
-#include "plan/block_halo.h"
 
 #include <algorithm>
 #include <numeric>

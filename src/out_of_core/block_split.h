@@ -3,8 +3,8 @@
 // bytes that the largest of them offers.
 #pragma once
 
-#include "out_of_core/block_image.h"
 #include "grid/sparse_grid_data.h"
+#include "out_of_core/block_image.h"
 #include "plan/dispatcher.h"
 #include "vdb_nns/planning/schedule.h"
 

@@ -2,9 +2,9 @@
 // memory of lists. Reads what was downloaded, and the grid; nothing of a device's.
 #pragma once
 
+#include "lists/neighbor_lists_data.h"
 #include "out_of_core/block_image.h"
 #include "search/thread_state.h"
-#include "lists/neighbor_lists_data.h"
 #include "shared/block_result.h"
 
 #include <cstddef>

@@ -5,12 +5,12 @@
 // arena, and the counters they add to are atomic.
 #pragma once
 
-#include "out_of_core/block_split.h"
-#include "search/engine_state.h"
-#include "out_of_core/job_queue.h"
-#include "out_of_core/run_progress.h"
 #include "cpu/search_task.h"
 #include "lists/neighbor_lists_data.h"
+#include "out_of_core/block_split.h"
+#include "out_of_core/job_queue.h"
+#include "out_of_core/run_progress.h"
+#include "search/engine_state.h"
 
 #include <atomic>
 #include <cstddef>

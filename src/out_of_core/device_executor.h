@@ -7,13 +7,13 @@
 // before its oldest has ended.
 #pragma once
 
-#include "out_of_core/block_transfer.h"
 #include "out_of_core/block_split.h"
+#include "out_of_core/block_transfer.h"
 #include "out_of_core/collector.h"
 #include "out_of_core/cpu_blocks.h"
-#include "search/engine_state.h"
 #include "out_of_core/job_queue.h"
 #include "out_of_core/run_progress.h"
+#include "search/engine_state.h"
 #include "shared/block_device.h"
 #include "vdb_nns/planning/executor.h"
 #include "vdb_nns/planning/schedule.h"

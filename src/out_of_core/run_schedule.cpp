@@ -11,10 +11,12 @@
 #include "out_of_core/collector.h"
 #include "out_of_core/cpu_blocks.h"
 #include "out_of_core/device_executor.h"
-#include "out_of_core/job_queue.h"
 #include "out_of_core/estimate_feedback.h"
+#include "out_of_core/job_queue.h"
 #include "out_of_core/run_progress.h"
 #include "plan/dispatcher.h"
+#include "util/isolate.h"
+#include "util/known_value.h"
 #include "util/wall_clock.h"
 #include "vdb_nns/error.h"
 
@@ -429,6 +431,22 @@ NeighborLists runSchedule(EngineState& engine, const SparseGrid& grid, const Sch
     engine.finishLists(run, pool, *result);
     engine.lists = result;
     return NeighborLists(result);
+}
+
+NeighborLists SearchEngine::search(const SparseGrid& grid, const Schedule& schedule,
+                                   const std::vector<DeviceLimits>& devices, const RunOptions& options,
+                                   ScheduleRun& report)
+{
+    checkOptions(options.search);
+    requireKnown(options.onFailure, DeviceFailure::kUseCpu, "treatment of failed devices");
+    requireKnown(options.schedule.boundary, BoundaryMode::kAuto, "boundary mode");
+    requireKnown(schedule.model.encoding, Encoding::kNone, "encoding of the schedule");
+    return isolated([&] {
+        const double start = wallSeconds();
+        const NeighborLists lists = runSchedule(*mImpl, grid, schedule, devices, options, report);
+        mImpl->statistics.searchSeconds = wallSeconds() - start;
+        return lists;
+    });
 }
 
 } // namespace vdb_nns

@@ -1,8 +1,8 @@
 // Runs a schedule: blocks on devices, the rest on TBB workers, rows into lists.
 #pragma once
 
-#include "search/engine_state.h"
 #include "out_of_core/open_device.h"
+#include "search/engine_state.h"
 #include "vdb_nns/planning/executor.h"
 
 #include <vector>

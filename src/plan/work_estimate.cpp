@@ -10,14 +10,14 @@
 //   * of as many places as a part needs on average, and fewer where they would cost more than a small share of the search
 #include "vdb_nns/planning/work_estimate.h"
 
-#include "plan/overlap_table.h"
-#include "plan/occupancy_sample.h"
-#include "search/count_queries.h"
 #include "cpu/kernels.h"
-#include "cpu/search_task.h"
 #include "cpu/leaves_in_reach-inl.h"
+#include "cpu/search_task.h"
 #include "grid/sparse_grid_data.h"
 #include "lists/cell_candidates.h"
+#include "plan/occupancy_sample.h"
+#include "plan/overlap_table.h"
+#include "search/count_queries.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
 #include "util/known_value.h"

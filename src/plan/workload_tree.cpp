@@ -3,12 +3,12 @@
 #include "vdb_nns/planning/workload_tree.h"
 
 #include "grid/sparse_grid_data.h"
+#include "plan/block_halo.h"
 #include "shared/block_result.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
 #include "util/known_value.h"
 #include "vdb_nns/error.h"
-#include "plan/block_halo.h"
 
 #include <tbb/parallel_for.h>
 

@@ -3,8 +3,8 @@
 // needs no locks.
 #include "vdb_nns/openvdb_bridge.h"
 
-#include "points/particle_source.h"
 #include "points/occupied_voxels.h"
+#include "points/particle_source.h"
 #include "util/isolate.h"
 #include "vdb_nns/error.h"
 

@@ -3,8 +3,8 @@
 // Knows random.h and the public scene.h; nothing of files or grids.
 #pragma once
 
-#include "util/random.h"
 #include "util/cancel.h"
+#include "util/random.h"
 #include "vdb_nns/scene.h"
 
 #include <tbb/blocked_range.h>

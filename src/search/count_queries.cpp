@@ -1,13 +1,13 @@
 // See count_queries.h.
 #include "search/count_queries.h"
 
-#include "exact/exact_test.h"
-#include "search/leaf_tasks.h"
 #include "cpu/kernels.h"
-#include "cpu/search_task.h"
-#include "search/thread_state.h"
 #include "cpu/leaves_in_reach-inl.h"
+#include "cpu/search_task.h"
+#include "exact/exact_test.h"
 #include "lists/cell_candidates.h"
+#include "search/leaf_tasks.h"
+#include "search/thread_state.h"
 
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>

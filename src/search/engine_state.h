@@ -2,13 +2,13 @@
 // what follows once all rows are there.
 #pragma once
 
-#include "exact/exact_test.h"
-#include "search/leaf_tasks.h"
 #include "cpu/kernels.h"
 #include "cpu/search_task.h"
-#include "search/thread_state.h"
+#include "exact/exact_test.h"
 #include "grid/sparse_grid_data.h"
 #include "lists/neighbor_lists_data.h"
+#include "search/leaf_tasks.h"
+#include "search/thread_state.h"
 #include "shared/block_device.h"
 #include "util/cancel.h"
 #include "vdb_nns/error.h"

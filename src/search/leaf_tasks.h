@@ -2,9 +2,9 @@
 #pragma once
 
 #include "cpu/search_task.h"
-#include "search/thread_state.h"
 #include "grid/sparse_grid_data.h"
 #include "lists/cell_candidates.h"
+#include "search/thread_state.h"
 #include "util/cancel.h"
 
 #include <tbb/blocked_range.h>

@@ -2,7 +2,6 @@
 #include "vdb_nns/search.h"
 
 #include "search/engine_state.h"
-#include "out_of_core/run_schedule.h"
 #include "util/isolate.h"
 #include "util/known_value.h"
 #include "util/sole_owner.h"
@@ -71,22 +70,6 @@ NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& 
         mImpl->lists = result;
         mImpl->statistics.searchSeconds = wallSeconds() - start;
         return NeighborLists(result);
-    });
-}
-
-NeighborLists SearchEngine::search(const SparseGrid& grid, const Schedule& schedule,
-                                   const std::vector<DeviceLimits>& devices, const RunOptions& options,
-                                   ScheduleRun& report)
-{
-    checkOptions(options.search);
-    requireKnown(options.onFailure, DeviceFailure::kUseCpu, "treatment of failed devices");
-    requireKnown(options.schedule.boundary, BoundaryMode::kAuto, "boundary mode");
-    requireKnown(schedule.model.encoding, Encoding::kNone, "encoding of the schedule");
-    return isolated([&] {
-        const double start = wallSeconds();
-        const NeighborLists lists = runSchedule(*mImpl, grid, schedule, devices, options, report);
-        mImpl->statistics.searchSeconds = wallSeconds() - start;
-        return lists;
     });
 }
 

@@ -1,8 +1,8 @@
 // What one thread of a search owns: scratch memory, the sink of its rows, counters. And the chunks that rows live in.
 #pragma once
 
-#include "exact/exact_test.h"
 #include "cpu/search_task.h"
+#include "exact/exact_test.h"
 #include "grid/sparse_grid_data.h"
 #include "lists/neighbor_lists_data.h"
 #include "util/cancel.h"

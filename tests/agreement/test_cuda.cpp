@@ -1,8 +1,8 @@
 // Searching on CUDA devices gives the oracle's lists, and the plain search's in the same order, on every distribution, under any
 // budget and whoever runs the boundary. Compiled twice: with the emulated device layer, which runs everywhere, and as it
 // is, for a real device: then tests are skipped where there is none, or fail if VDB_NNS_REQUIRE_GPU=1.
-#include "support/comparator.h"
 #include "plan/workload_cases.h"
+#include "support/comparator.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/planning/executor.h"
 

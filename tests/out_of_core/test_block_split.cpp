@@ -1,6 +1,6 @@
 // The parts of a block are all of it, and each fits as far as anything is known.
-#include "out_of_core/block_split.h"
 #include "lists/neighbor_lists_data.h"
+#include "out_of_core/block_split.h"
 #include "plan/workload_cases.h"
 #include "vdb_nns/error.h"
 

@@ -3,9 +3,9 @@
 #include "out_of_core/block_image.h"
 #include "out_of_core/run_schedule.h"
 #include "out_of_core/simulated_device.h"
+#include "plan/workload_cases.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/planning/executor.h"
-#include "workload_cases.h"
 
 #include <gtest/gtest.h>
 

@@ -1,10 +1,10 @@
 // The schedule: every one holds each query once, in blocks that fit, whatever the budget, the devices and the estimate.
-#include "plan/device_clock.h"
-#include "vdb_nns/error.h"
-#include "vdb_nns/scene.h"
-#include "vdb_nns/planning/schedule.h"
 #include "plan/block_halo.h"
-#include "workload_cases.h"
+#include "plan/device_clock.h"
+#include "plan/workload_cases.h"
+#include "vdb_nns/error.h"
+#include "vdb_nns/planning/schedule.h"
+#include "vdb_nns/scene.h"
 
 #include <gtest/gtest.h>
 

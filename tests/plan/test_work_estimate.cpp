@@ -1,19 +1,19 @@
 // The estimate: exact parts against brute force over cells and against the oracle, the expectation against a slow sum in
 // double, corrections against exact counts; and what it is corrected by: countQueries() and the search of chosen cells.
-#include "plan/overlap_table.h"
-#include "search/count_queries.h"
-#include "exact/exact_test.h"
-#include "search/leaf_tasks.h"
 #include "cpu/kernels.h"
-#include "search/thread_state.h"
 #include "cpu/leaves_in_reach-inl.h"
+#include "exact/exact_test.h"
 #include "lists/cell_candidates.h"
 #include "lists/neighbor_lists_data.h"
+#include "plan/overlap_table.h"
+#include "plan/workload_cases.h"
+#include "search/count_queries.h"
+#include "search/leaf_tasks.h"
+#include "search/thread_state.h"
 #include "support/comparator.h"
 #include "vdb_nns/error.h"
-#include "vdb_nns/scene.h"
 #include "vdb_nns/planning/work_estimate.h"
-#include "workload_cases.h"
+#include "vdb_nns/scene.h"
 
 #include <gtest/gtest.h>
 

@@ -1,8 +1,8 @@
 // The workload tree: reach and halo against brute force over cells, the tree's shape and sums.
+#include "plan/block_halo.h"
+#include "plan/workload_cases.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/scene.h"
-#include "plan/block_halo.h"
-#include "workload_cases.h"
 
 #include <gtest/gtest.h>
 

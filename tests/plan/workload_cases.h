@@ -2,9 +2,9 @@
 #pragma once
 
 #include "agreement/point_views.h"
-#include "vdb_nns/scene.h"
 #include "vdb_nns/planning/schedule.h"
 #include "vdb_nns/planning/workload_tree.h"
+#include "vdb_nns/scene.h"
 
 #include <gtest/gtest.h>
 

@@ -1,9 +1,9 @@
 // The engine of `vdb_nns verify`: right lists of every distribution pass, each planted fault is found and named, and
 // files that lie are refused.
-#include "points/particle_source.h"
 #include "../support/distributions.h"
 #include "../support/lists_writer.h"
 #include "../support/oracle.h"
+#include "points/particle_source.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/particle_view.h"
 #include "verify/exact_pair.h"

@@ -1,10 +1,10 @@
 // What a search or a plan did, as the JSON report and as the summary on stdout. Plain data and functions to text.
 #pragma once
 
-#include "vdb_nns/planning/executor.h"
 #include "vdb_nns/neighbor_lists.h"
-#include "vdb_nns/point_file.h"
+#include "vdb_nns/planning/executor.h"
 #include "vdb_nns/planning/schedule.h"
+#include "vdb_nns/point_file.h"
 #include "vdb_nns/search_options.h"
 #include "vdb_nns/types.h"
 

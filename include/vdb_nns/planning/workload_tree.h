@@ -1,8 +1,8 @@
 // The workload tree: the nodes of a grid's VDB tree, and the octants between them, with what each asks of a device. Plain data.
 #pragma once
 
-#include "vdb_nns/search_options.h"
 #include "vdb_nns/planning/work_estimate.h"
+#include "vdb_nns/search_options.h"
 
 #include <cstdint>
 #include <vector>
