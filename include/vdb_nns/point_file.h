@@ -115,8 +115,8 @@ void writeNpz(const std::string& path, const NeighborLists& lists, ListValues va
 /// @param options of the search; `encoding` and `hostMemoryBytes` are not read.
 /// @throws OutputExists, OutputError (also before anything is written, where the disk has not the room),
 ///         Cancelled, and what SearchEngine::visitRows() throws
-void writeNpzDirect(const std::string& path, SearchEngine& engine, const NeighborLists& counts,
-                    ListValues values, const OutputOptions& output = {}, std::uint64_t bufferBytes = 0,
-                    const SearchOptions& options = {});
+void streamNpz(const std::string& path, SearchEngine& engine, const NeighborLists& counts, ListValues values,
+               const OutputOptions& output = {}, std::uint64_t bufferBytes = 0,
+               const SearchOptions& options = {});
 
 } // namespace vdb_nns

@@ -71,7 +71,7 @@ public:
     /// lists, byte for byte, as search() makes, in the schedule's encoding. A block that outgrows its
     /// estimate is split and redone; a device that refuses memory is asked for less, and what fits no device
     /// is run by TBB workers; `report` counts all of that.
-    /// Host memory besides the lists: what the devices hold in their slots, once for staging; for simulated
+    /// Host memory besides the lists: what the devices hold in their buffers, once for staging; for simulated
     /// devices once more.
     /// @throws DeviceError when a device fails, under DeviceFailure::kStop, or is not there
     /// @throws CapacityError when the lists cannot fit beside that

@@ -81,7 +81,7 @@ void expectCellsAt(const BlockView& block, std::uint32_t leafIndex, const std::u
     std::uint16_t occupied[kSide] = {}; // by x: bits of the y that have particles
     for (std::uint32_t left = leavesInReach(leaf.occupancy, kReach); left; left &= left - 1) {
         const int n = __builtin_ctz(left);
-        if (neighborhood[n] != 0xffffffffu) addCounts<kReach>(block, neighborhood[n], n, cube, occupied);
+        if (neighborhood[n] != kNoLeaf) addCounts<kReach>(block, neighborhood[n], n, cube, occupied);
     }
     for (int x = 0; x < 8; ++x) {
         for (std::uint64_t word = leaf.occupancy[x]; word;) {

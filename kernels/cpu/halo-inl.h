@@ -38,7 +38,7 @@ inline std::size_t readLeaves(const BlockView& block, const std::uint32_t* neigh
     std::size_t particles = 0;
     for (int n = 0; n < 27; ++n) {
         LeafCells& leaf = leaves[n];
-        if (neighborhood[n] == 0xffffffffu) {
+        if (neighborhood[n] == kNoLeaf) {
             for (int w = 0; w < 8; ++w) leaf.word[w] = 0;
             continue;
         }
@@ -99,7 +99,7 @@ inline void fillHalo(const BlockView& block, const LeafCells* leaves, HaloScratc
 // Particles of consecutive cells of one column in one of the 27 leaves.
 struct HaloRun {
     std::uint32_t begin, end; // slots
-    std::uint16_t leaf;       // of the neighborhood: 13 is the task's own
+    std::uint16_t leaf;       // of the neighborhood: kOwnLeaf is the task's own
     std::uint16_t slab;       // x + reach: 0 is the lowest slab of the halo
 };
 

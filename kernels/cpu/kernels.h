@@ -11,15 +11,15 @@ namespace vdb_nns {
 
 struct SearchContext;
 struct SearchTask;
-struct BandJudge;
+struct ExactPredicate;
 struct HaloScratch;
 struct RowSink;
 struct TaskStatistics;
 struct CellCounts;
 struct BlockView;
 
-using SearchTaskFunction = void (*)(const SearchContext&, const SearchTask&, const BandJudge&, HaloScratch&,
-                                    RowSink&, TaskStatistics&);
+using SearchTaskFunction = void (*)(const SearchContext&, const SearchTask&, const ExactPredicate&,
+                                    HaloScratch&, RowSink&, TaskStatistics&);
 
 // Splits cell coordinates t into the number of the leaf and the coordinate about the leaf's centre. False when one of
 // them is not inside +-limit; NaN is not.
@@ -28,8 +28,8 @@ using LocateAxisFunction = bool (*)(const double* t, std::size_t count, double l
 
 // Draws cubes by a hash of their coordinates, which are `rows` times the position rounded down: 1 for a position in one whose
 // hash is at most `last`, else 0. Arbitrary for positions that are not finite or pass 2^31 cubes.
-using DrawLotsFunction = void (*)(const double* x, const double* y, const double* z, std::size_t count,
-                                  const double (*rows)[3], std::uint32_t last, std::uint8_t* drawn);
+using SampleCubesFunction = void (*)(const double* x, const double* y, const double* z, std::size_t count,
+                                     const double (*rows)[3], std::uint32_t last, std::uint8_t* drawn);
 
 // For each occupied cell of a leaf: the particles of the cells in its reach, and their sum weighted by `shares`, which
 // has (2 reach + 1)^3 of them by offset, lexicographic.
@@ -44,7 +44,7 @@ struct Kernels {
     SearchTaskFunction mask;  // rows of membership bits
     SearchTaskFunction count; // counts alone
     LocateAxisFunction locateAxis;
-    DrawLotsFunction drawLots;
+    SampleCubesFunction sampleCubes;
     ExpectCellsFunction expectCells;
 };
 

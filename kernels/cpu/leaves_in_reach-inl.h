@@ -2,12 +2,14 @@
 // Internal linkage; see simd.h.
 #pragma once
 
+#include "shared/block_view.h"
+
 #include <cstdint>
 
 namespace vdb_nns {
 namespace {
 
-constexpr std::uint32_t kOwnLeafAlone = 1u << 13;
+constexpr std::uint32_t kOwnLeafAlone = 1u << kOwnLeaf;
 
 // Of the leaves around, as in LeafNeighborhood, those that hold cells within `reach` cells of `cells`: 8 words of bits as in
 // LeafRecord::occupancy.

@@ -1,4 +1,4 @@
-// DrawLotsFunction for the instruction set of the including file; the compiler makes vectors of it. Internal linkage.
+// SampleCubesFunction for the instruction set of the including file; the compiler makes vectors of it. Internal linkage.
 #pragma once
 
 #include "cpu/round_down-inl.h"
@@ -9,8 +9,8 @@
 namespace vdb_nns {
 namespace {
 
-void drawLots(const double* x, const double* y, const double* z, std::size_t count, const double (*rows)[3],
-              std::uint32_t last, std::uint8_t* drawn)
+void sampleCubes(const double* x, const double* y, const double* z, std::size_t count,
+                 const double (*rows)[3], std::uint32_t last, std::uint8_t* drawn)
 {
     constexpr std::uint32_t kOdd[3] = {0x9E3779B1u, 0x85EBCA77u, 0xC2B2AE3Du};
     for (std::size_t i = 0; i < count; ++i) {

@@ -13,7 +13,7 @@ const Kernels kKernelsAvx2 = {searchTask<IndexRows<StreamedRows>>,
                               searchTask<MaskRows>,
                               searchTask<CountRows>,
                               locateAxis,
-                              drawLots,
+                              sampleCubes,
                               expectCells};
 
 } // namespace vdb_nns

@@ -12,7 +12,7 @@ const Kernels kKernelsScalar = {searchTask<IndexRows<StreamedRows>>,
                                 searchTask<MaskRows>,
                                 searchTask<CountRows>,
                                 locateAxis,
-                                drawLots,
+                                sampleCubes,
                                 expectCells};
 
 } // namespace vdb_nns

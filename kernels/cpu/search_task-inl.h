@@ -71,11 +71,11 @@ inline bool testQuery(const FilterBounds& bounds, const Frame& frame, std::uint3
     return Simd::lessEqual(least, Simd::set(bounds.bandTop)) != 0;
 }
 
-// testQuery() for a query that has candidates in the band: the judge decides those. Rare, and apart, so that it takes no
+// testQuery() for a query that has candidates in the band: the exact test decides those. Rare, and apart, so that it takes no
 // registers from the other.
 template <typename Frame, typename Emit>
 __attribute__((noinline)) void testBand(const FilterBounds& bounds, Frame frame, std::uint32_t self,
-                                        const BandJudge& judge, TaskStatistics& statistics, Emit emit)
+                                        const ExactPredicate& exact, TaskStatistics& statistics, Emit emit)
 {
     const char* const own = frame.base + std::size_t(self) * sizeof(float);
     const typename Frame::Query query(bounds, own, frame.stride);
@@ -89,7 +89,7 @@ __attribute__((noinline)) void testBand(const FilterBounds& bounds, Frame frame,
         for (; band; band &= band - 1) {
             const unsigned lane = static_cast<unsigned>(__builtin_ctz(band));
             ++statistics.bandPairs;
-            if (!judge.isNeighbor(judge.state, number, integers(p + Frame::kNumber * frame.stride)[lane])) {
+            if (!exact.isNeighbor(exact.state, number, integers(p + Frame::kNumber * frame.stride)[lane])) {
                 hits &= ~(Simd::Mask(1) << lane);
             }
         }
@@ -165,7 +165,7 @@ struct IndexRows {
     }
 
     template <typename Frame>
-    void search(const Frame& frame, const Queries& queries, const BandJudge& judge,
+    void search(const Frame& frame, const Queries& queries, const ExactPredicate& exact,
                 TaskStatistics& statistics)
     {
         const FilterBounds bounds = context.bounds;
@@ -185,8 +185,8 @@ struct IndexRows {
             std::uint32_t countA, countB;
             if (tied || testPair(bounds, frame, queries.self + q, emit)) {
                 const std::uint64_t before = statistics.bandPairs;
-                countA = searchBand(frame, queries.self + q, judge, statistics, begin);
-                countB = searchBand(frame, queries.self + q + 1, judge, statistics, begin + countA);
+                countA = searchBand(frame, queries.self + q, exact, statistics, begin);
+                countB = searchBand(frame, queries.self + q + 1, exact, statistics, begin + countA);
                 tied = statistics.bandPairs != before;
             } else {
                 countA = static_cast<std::uint32_t>(outA - begin);
@@ -208,7 +208,7 @@ struct IndexRows {
                 out += __builtin_popcount(hits);
             };
             const bool band = tied || testQuery(bounds, frame, queries.self + q, emit);
-            const std::uint32_t count = band ? searchBand(frame, queries.self + q, judge, statistics, begin)
+            const std::uint32_t count = band ? searchBand(frame, queries.self + q, exact, statistics, begin)
                                              : static_cast<std::uint32_t>(out - begin);
             noteRow(queries.slot + q, target.commit(count), count, statistics);
         }
@@ -226,11 +226,11 @@ private:
     }
 
     template <typename Frame>
-    std::uint32_t searchBand(const Frame& frame, std::uint32_t self, const BandJudge& judge,
+    std::uint32_t searchBand(const Frame& frame, std::uint32_t self, const ExactPredicate& exact,
                              TaskStatistics& statistics, std::uint32_t* begin)
     {
         std::uint32_t* out = begin;
-        testBand(context.bounds, frame, self, judge, statistics,
+        testBand(context.bounds, frame, self, exact, statistics,
                  [&out, &frame](const char* p, Simd::Mask hits) {
                      const Simd::I numbers = Simd::load(integers(p + Frame::kNumber * frame.stride));
                      Simd::store(out, Simd::compress(numbers, Simd::order(hits)));
@@ -255,7 +255,7 @@ struct CountRows {
     }
 
     template <typename Frame>
-    void search(const Frame& frame, const Queries& queries, const BandJudge& judge,
+    void search(const Frame& frame, const Queries& queries, const ExactPredicate& exact,
                 TaskStatistics& statistics)
     {
         const FilterBounds bounds = context.bounds;
@@ -270,8 +270,8 @@ struct CountRows {
             };
             if (tied || testPair(bounds, frame, queries.self + q, emit)) {
                 const std::uint64_t before = statistics.bandPairs;
-                countA = countBand(frame, queries.self + q, judge, statistics);
-                countB = countBand(frame, queries.self + q + 1, judge, statistics);
+                countA = countBand(frame, queries.self + q, exact, statistics);
+                countB = countBand(frame, queries.self + q + 1, exact, statistics);
                 tied = statistics.bandPairs != before;
             }
             rowCount[q] = countA;
@@ -284,7 +284,7 @@ struct CountRows {
                 count += static_cast<std::uint32_t>(__builtin_popcount(hits));
             };
             if (tied || testQuery(bounds, frame, queries.self + q, emit)) {
-                count = countBand(frame, queries.self + q, judge, statistics);
+                count = countBand(frame, queries.self + q, exact, statistics);
             }
             rowCount[q] = count;
             pairs += count;
@@ -296,11 +296,11 @@ struct CountRows {
 
 private:
     template <typename Frame>
-    std::uint32_t countBand(const Frame& frame, std::uint32_t self, const BandJudge& judge,
+    std::uint32_t countBand(const Frame& frame, std::uint32_t self, const ExactPredicate& exact,
                             TaskStatistics& statistics)
     {
         std::uint32_t count = 0;
-        testBand(context.bounds, frame, self, judge, statistics, [&count](const char*, Simd::Mask hits) {
+        testBand(context.bounds, frame, self, exact, statistics, [&count](const char*, Simd::Mask hits) {
             count += static_cast<std::uint32_t>(__builtin_popcount(hits));
         });
         return count;
@@ -406,7 +406,7 @@ struct MaskRows {
     // `candidates` are those of the cells in reach. Not inlined: in a loop around it, it would lack registers.
     template <typename Frame>
     __attribute__((noinline)) void search(const Frame& frame, const Queries& queries,
-                                          std::uint32_t candidates, const BandJudge& judge,
+                                          std::uint32_t candidates, const ExactPredicate& exact,
                                           TaskStatistics& statistics)
     {
         const FilterBounds bounds = context.bounds;
@@ -429,8 +429,8 @@ struct MaskRows {
             };
             if (tied || testPair(bounds, frame, queries.self + q, emit)) {
                 const std::uint64_t before = statistics.bandPairs;
-                searchBand(frame, queries.self + q, judge, statistics, hitBits);
-                searchBand(frame, queries.self + q + 1, judge, statistics, secondHitBits);
+                searchBand(frame, queries.self + q, exact, statistics, hitBits);
+                searchBand(frame, queries.self + q + 1, exact, statistics, secondHitBits);
                 tied = statistics.bandPairs != before;
             } else {
                 writerA.finish();
@@ -443,7 +443,7 @@ struct MaskRows {
             HitWriter writer(hitBits);
             const auto emit = [&writer](const char*, Simd::Mask hits) { writer.append(hits); };
             if (tied || testQuery(bounds, frame, queries.self + q, emit)) {
-                searchBand(frame, queries.self + q, judge, statistics, hitBits);
+                searchBand(frame, queries.self + q, exact, statistics, hitBits);
             } else {
                 writer.finish();
             }
@@ -457,11 +457,11 @@ struct MaskRows {
 
 private:
     template <typename Frame>
-    void searchBand(const Frame& frame, std::uint32_t self, const BandJudge& judge,
+    void searchBand(const Frame& frame, std::uint32_t self, const ExactPredicate& exact,
                     TaskStatistics& statistics, std::uint64_t* hits)
     {
         HitWriter writer(hits);
-        testBand(context.bounds, frame, self, judge, statistics,
+        testBand(context.bounds, frame, self, exact, statistics,
                  [&writer](const char*, Simd::Mask hits) { writer.append(hits); });
         writer.finish();
     }
@@ -498,7 +498,8 @@ private:
 // Searches a sparse leaf. False, and nothing done, when it is not sparse.
 template <typename Rows>
 bool searchSparse(const SearchContext& context, const SearchTask& task, const LeafCells* leaves,
-                  const BandJudge& judge, HaloScratch& scratch, RowSink& sink, TaskStatistics& statistics)
+                  const ExactPredicate& exact, HaloScratch& scratch, RowSink& sink,
+                  TaskStatistics& statistics)
 {
     if (task.endSlot - task.firstSlot > kSparseMost) return false;
     HaloRun runs[kSparseMost + 1]; // each holds a particle at least
@@ -509,7 +510,7 @@ bool searchSparse(const SearchContext& context, const SearchTask& task, const Le
     Rows rows(context, task, scratch, sink);
     std::uint32_t at = 0;
     for (std::uint32_t r = 0; r < runCount; at += runs[r].end - runs[r].begin, ++r) {
-        if (runs[r].leaf != 13) continue;
+        if (runs[r].leaf != kOwnLeaf) continue;
         const std::uint32_t begin = runs[r].begin > task.firstSlot ? runs[r].begin : task.firstSlot;
         const std::uint32_t end = runs[r].end < task.endSlot ? runs[r].end : task.endSlot;
         if (begin >= end) continue;
@@ -517,7 +518,7 @@ bool searchSparse(const SearchContext& context, const SearchTask& task, const Le
         const int slab = runs[r].slab, reach = context.block.reach;
         const std::uint32_t from = slabStart[slab - reach], to = slabStart[slab + reach + 1];
         const HaloFrame frame{scratch.halo() + std::size_t(from) * sizeof(float), scratch.stride, to - from};
-        rows.search(frame, {at - from + (begin - runs[r].begin), end - begin, begin}, judge, statistics);
+        rows.search(frame, {at - from + (begin - runs[r].begin), end - begin, begin}, exact, statistics);
     }
     rows.finish();
     return true;
@@ -526,12 +527,12 @@ bool searchSparse(const SearchContext& context, const SearchTask& task, const Le
 // Searches the cells of task.cells, each by itself: for so few that the halo of the whole leaf would cost more.
 template <typename Rows>
 void searchCells(const SearchContext& context, const SearchTask& task, const LeafCells* leaves,
-                 const BandJudge& judge, HaloScratch& scratch, RowSink& sink, TaskStatistics& statistics)
+                 const ExactPredicate& exact, HaloScratch& scratch, RowSink& sink, TaskStatistics& statistics)
 {
     Pace pace(context);
     const std::uint32_t* cellStart = context.block.cellStart + context.block.leaves[task.leaf].firstCell;
     for (int x = 0; x < 8; ++x) {
-        for (std::uint64_t word = leaves[13].word[x]; word; word &= word - 1, ++cellStart) {
+        for (std::uint64_t word = leaves[kOwnLeaf].word[x]; word; word &= word - 1, ++cellStart) {
             const int bit = __builtin_ctzll(word);
             const std::uint32_t begin = cellStart[0] > task.firstSlot ? cellStart[0] : task.firstSlot;
             const std::uint32_t end = cellStart[1] < task.endSlot ? cellStart[1] : task.endSlot;
@@ -547,12 +548,12 @@ void searchCells(const SearchContext& context, const SearchTask& task, const Lea
                 keep[candidates / 64] = (std::uint64_t(1) << candidates % 64) - 1;
                 Rows rows(context, scratch, sink, std::size_t(queries.count) * ((candidates + 31) / 32));
                 pace.run(queries, candidates, candidates, [&](const Queries& part) {
-                    rows.search(frame, part, candidates, judge, statistics);
+                    rows.search(frame, part, candidates, exact, statistics);
                 });
             } else {
                 Rows rows(context, task, scratch, sink);
                 pace.run(queries, candidates, candidates,
-                         [&](const Queries& part) { rows.search(frame, part, judge, statistics); });
+                         [&](const Queries& part) { rows.search(frame, part, exact, statistics); });
                 rows.finish();
             }
         }
@@ -560,15 +561,15 @@ void searchCells(const SearchContext& context, const SearchTask& task, const Lea
 }
 
 template <typename Rows>
-void searchTask(const SearchContext& context, const SearchTask& task, const BandJudge& judge,
+void searchTask(const SearchContext& context, const SearchTask& task, const ExactPredicate& exact,
                 HaloScratch& scratch, RowSink& sink, TaskStatistics& statistics)
 {
     LeafCells leaves[27];
     const std::size_t particles = readLeaves(context.block, task.neighborhood, leaves);
     scratch.reserve(scratch, particles);
-    if (task.cells) return searchCells<Rows>(context, task, leaves, judge, scratch, sink, statistics);
+    if (task.cells) return searchCells<Rows>(context, task, leaves, exact, scratch, sink, statistics);
     if constexpr (!Rows::kMasks) {
-        if (searchSparse<Rows>(context, task, leaves, judge, scratch, sink, statistics)) return;
+        if (searchSparse<Rows>(context, task, leaves, exact, scratch, sink, statistics)) return;
     }
     fillHalo(context.block, leaves, scratch);
     Pace pace(context);
@@ -581,9 +582,9 @@ void searchTask(const SearchContext& context, const SearchTask& task, const Band
                     const Queries queries{cell.self, cell.queries, firstSlot};
                     pace.run(queries, cell.candidates, cell.kept, [&](const Queries& part) {
                         if constexpr (Rows::kMasks) {
-                            rows.search(frame, part, cell.candidates, judge, statistics);
+                            rows.search(frame, part, cell.candidates, exact, statistics);
                         } else {
-                            rows.search(frame, part, judge, statistics);
+                            rows.search(frame, part, exact, statistics);
                         }
                     });
                 });

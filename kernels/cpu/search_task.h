@@ -31,7 +31,7 @@ struct SearchTask {
 };
 
 // Decides the pairs in the filter's band; numbers are the caller's.
-struct BandJudge {
+struct ExactPredicate {
     void* state;
     bool (*isNeighbor)(void* state, std::uint32_t query, std::uint32_t candidate);
 };

@@ -1,4 +1,4 @@
-// BlockDevice on a CUDA device: one stream for each slot, so that blocks of different slots upload, search and download at
+// BlockDevice on a CUDA device: one stream for each buffer, so that blocks of different buffers upload, search and download at
 // the same time; memory is taken once and counted to the byte; events are the only thing that is waited for. The mapped
 // variant, a baseline, keeps blocks in pinned host memory that kernels read and write through the link.
 #include "cuda/cuda_check.h"
@@ -29,16 +29,16 @@ public:
         select();
         loadKernels();
         try {
-            mSlots.resize(static_cast<std::size_t>(options.slots));
-            for (Slot& slot : mSlots) {
-                VDB_NNS_CUDA_CHECK(cudaStreamCreateWithFlags(&slot.stream, cudaStreamNonBlocking));
-                for (Interval& interval : slot.intervals) {
+            mQueues.resize(static_cast<std::size_t>(options.buffers));
+            for (Queue& queue : mQueues) {
+                VDB_NNS_CUDA_CHECK(cudaStreamCreateWithFlags(&queue.stream, cudaStreamNonBlocking));
+                for (Interval& interval : queue.intervals) {
                     VDB_NNS_CUDA_CHECK(cudaEventCreateWithFlags(&interval.begin, cudaEventBlockingSync));
                     VDB_NNS_CUDA_CHECK(cudaEventCreateWithFlags(&interval.end, cudaEventBlockingSync));
                 }
             }
             VDB_NNS_CUDA_CHECK(cudaEventCreateWithFlags(&mOpened, cudaEventDefault));
-            VDB_NNS_CUDA_CHECK(cudaEventRecord(mOpened, mSlots.at(0).stream));
+            VDB_NNS_CUDA_CHECK(cudaEventRecord(mOpened, mQueues.at(0).stream));
         } catch (...) {
             close();
             throw;
@@ -89,27 +89,27 @@ public:
         handBack();
         mPeakBytes = 0;
         // Times are counted from here: floats of milliseconds do not stay fine for long.
-        VDB_NNS_CUDA_CHECK(cudaEventRecord(mOpened, mSlots.at(0).stream));
+        VDB_NNS_CUDA_CHECK(cudaEventRecord(mOpened, mQueues.at(0).stream));
         std::fill(std::begin(mCounted), std::end(mCounted), 0.0f);
     }
 
-    void upload(int slot, std::byte* device, const std::byte* staging, std::uint64_t bytes) override
+    void upload(int buffer, std::byte* device, const std::byte* staging, std::uint64_t bytes) override
     {
         if (device == staging) return;
-        run(slot, kUpload, [&](cudaStream_t stream) {
+        run(buffer, kUpload, [&](cudaStream_t stream) {
             VDB_NNS_CUDA_CHECK(cudaMemcpyAsync(device, staging, bytes, cudaMemcpyHostToDevice, stream));
         });
     }
 
-    void search(int slot, const BlockSearch& block) override
+    void search(int buffer, const BlockSearch& block) override
     {
-        run(slot, kSearch, [&](cudaStream_t stream) { launchSearchAsync(block, stream); });
+        run(buffer, kSearch, [&](cudaStream_t stream) { launchSearchAsync(block, stream); });
     }
 
-    std::byte* download(int slot, std::byte* staging, std::byte* device, std::uint64_t bytes) override
+    std::byte* download(int buffer, std::byte* staging, std::byte* device, std::uint64_t bytes) override
     {
         if (mOptions.mapped) return device;
-        run(slot, kDownload, [&](cudaStream_t stream) {
+        run(buffer, kDownload, [&](cudaStream_t stream) {
             VDB_NNS_CUDA_CHECK(cudaMemcpyAsync(staging, device, bytes, cudaMemcpyDeviceToHost, stream));
         });
         return staging;
@@ -118,16 +118,16 @@ public:
     StepTimes wait(int number) override
     {
         select();
-        Slot& slot = mSlots.at(static_cast<std::size_t>(number));
+        Queue& queue = mQueues.at(static_cast<std::size_t>(number));
         StepTimes times;
         double* const seconds[kSteps] = {&times.uploadSeconds, &times.searchSeconds, &times.downloadSeconds};
-        const std::size_t used = std::exchange(slot.used, 0);
-        if (used > 0) VDB_NNS_CUDA_CHECK(cudaEventSynchronize(slot.intervals[used - 1].end));
-        // A slot's interval begins when its stream comes to it, and includes waiting for other slots. What they have
+        const std::size_t used = std::exchange(queue.used, 0);
+        if (used > 0) VDB_NNS_CUDA_CHECK(cudaEventSynchronize(queue.intervals[used - 1].end));
+        // A queue's interval begins when its stream comes to it, and includes waiting for other queues. What they have
         // been counted for is not counted again.
         const std::lock_guard<std::mutex> lock(mMutex);
         for (std::size_t i = 0; i < used; ++i) {
-            const Interval& interval = slot.intervals[i];
+            const Interval& interval = queue.intervals[i];
             float begin = 0, end = 0;
             VDB_NNS_CUDA_CHECK(cudaEventElapsedTime(&begin, mOpened, interval.begin));
             VDB_NNS_CUDA_CHECK(cudaEventElapsedTime(&end, mOpened, interval.end));
@@ -146,7 +146,7 @@ private:
         cudaEvent_t begin = nullptr, end = nullptr;
         Step step = kUpload;
     };
-    struct Slot {
+    struct Queue {
         cudaStream_t stream = nullptr;
         std::array<Interval, 4> intervals; // as many steps as are taken between two waits
         std::size_t used = 0;
@@ -165,13 +165,13 @@ private:
     void run(int number, Step step, Enqueue&& enqueue)
     {
         select();
-        Slot& slot = mSlots.at(static_cast<std::size_t>(number));
-        Interval& interval = slot.intervals.at(slot.used);
+        Queue& queue = mQueues.at(static_cast<std::size_t>(number));
+        Interval& interval = queue.intervals.at(queue.used);
         interval.step = step;
-        VDB_NNS_CUDA_CHECK(cudaEventRecord(interval.begin, slot.stream));
-        enqueue(slot.stream);
-        VDB_NNS_CUDA_CHECK(cudaEventRecord(interval.end, slot.stream));
-        ++slot.used;
+        VDB_NNS_CUDA_CHECK(cudaEventRecord(interval.begin, queue.stream));
+        enqueue(queue.stream);
+        VDB_NNS_CUDA_CHECK(cudaEventRecord(interval.end, queue.stream));
+        ++queue.used;
     }
 
     void requireBudget(std::uint64_t bytes) const
@@ -230,9 +230,9 @@ private:
     void handBack()
     {
         cudaSetDevice(mOptions.ordinal);
-        for (Slot& slot : mSlots) {
-            if (slot.stream) cudaStreamSynchronize(slot.stream);
-            slot.used = 0;
+        for (Queue& queue : mQueues) {
+            if (queue.stream) cudaStreamSynchronize(queue.stream);
+            queue.used = 0;
         }
         for (std::vector<Piece>* pieces : {&mMemory, &mStaging}) {
             for (Piece& piece : *pieces) piece.isTaken = false;
@@ -256,18 +256,18 @@ private:
     void close()
     {
         releaseAll();
-        for (Slot& slot : mSlots) {
-            for (Interval& interval : slot.intervals) {
+        for (Queue& queue : mQueues) {
+            for (Interval& interval : queue.intervals) {
                 if (interval.begin) cudaEventDestroy(interval.begin);
                 if (interval.end) cudaEventDestroy(interval.end);
             }
-            if (slot.stream) cudaStreamDestroy(slot.stream);
+            if (queue.stream) cudaStreamDestroy(queue.stream);
         }
         if (mOpened) cudaEventDestroy(mOpened);
     }
 
     const OpenOptions mOptions;
-    std::vector<Slot> mSlots;
+    std::vector<Queue> mQueues;
     std::vector<Piece> mMemory, mStaging;
     std::vector<std::byte*> mHandedOut; // of the memory, in the order in which it was asked for
     std::size_t mMappedStagings = 0;    // handed out

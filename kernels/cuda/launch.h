@@ -37,7 +37,7 @@ struct OpenOptions {
     int ordinal = 0;
     std::string name; ///< for messages
     std::uint64_t budgetBytes = 0;
-    int slots = 3;
+    int buffers = 3;
     bool mapped =
         false; ///< blocks stay in host memory, and kernels read and write them through the link: a baseline
 };

@@ -1,5 +1,5 @@
 // What runs blocks under a budget of memory. A block takes five steps: it is staged in host memory, uploaded, searched,
-// downloaded and collected; a device does the middle three, for several slots at once. Knows images of blocks, not
+// downloaded and collected; a device does the middle three, for several buffers at once. Knows images of blocks, not
 // schedules. Any compiler.
 #pragma once
 
@@ -34,8 +34,8 @@ struct StepTimes {
     double uploadSeconds = 0, searchSeconds = 0, downloadSeconds = 0;
 };
 
-// Steps of one slot are called one after the other; different slots may be served by different threads at once. upload(),
-// search() and download() may return before they are done; wait() returns when all of its slot's are.
+// Steps of one buffer are called one after the other; different buffers may be served by different threads at once. upload(),
+// search() and download() may return before they are done; wait() returns when all of its buffer's are.
 // A step that fails throws DeviceError: the block is lost, and the device with it.
 class BlockDevice {
 public:
@@ -53,14 +53,14 @@ public:
     // A new run begins: all memory has been given back, and may be handed out again.
     virtual void restart() { releaseAll(); }
 
-    virtual void upload(int slot, std::byte* device, const std::byte* staging, std::uint64_t bytes) = 0;
+    virtual void upload(int buffer, std::byte* device, const std::byte* staging, std::uint64_t bytes) = 0;
     // A result that finds no room is counted on to its true size, in its ResultHead and its counts; its rows are unusable.
-    virtual void search(int slot, const BlockSearch& block) = 0;
+    virtual void search(int buffer, const BlockSearch& block) = 0;
     // Returns where the bytes are to be read and changed after wait(): in `staging`, or where they were if the host can
     // read the device's memory.
-    virtual std::byte* download(int slot, std::byte* staging, std::byte* device, std::uint64_t bytes) = 0;
-    // Of the slot's steps since it was waited for last; 0 for a simulated device.
-    virtual StepTimes wait(int slot) = 0;
+    virtual std::byte* download(int buffer, std::byte* staging, std::byte* device, std::uint64_t bytes) = 0;
+    // Of the buffer's steps since it was waited for last; 0 for a simulated device.
+    virtual StepTimes wait(int buffer) = 0;
 
     virtual std::uint64_t peakBytes() const = 0;
 };

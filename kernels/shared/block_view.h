@@ -17,6 +17,8 @@
 namespace vdb_nns {
 
 constexpr std::uint32_t kNoLeaf = 0xffffffffu;
+constexpr int kOwnLeaf =
+    13; // of the 27 leaves around and including a leaf, by (dx, dy, dz) lexicographic: itself
 
 struct LeafRecord {
     std::uint32_t firstSlot;        // slot of its first particle; those of the next leaf follow

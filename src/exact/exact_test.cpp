@@ -1,4 +1,3 @@
-// See exact_test.h.
 #include "exact/exact_test.h"
 
 #include "points/particle_source.h"

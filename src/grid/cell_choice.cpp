@@ -2,9 +2,9 @@
 // half of it; where few cells hold more than a handful of particles, finding and gathering cells and leaves costs more than the
 // tests that wider cells add.
 //
-//   1. A glance at a thousand particles, or at every thousandth: how many leaves they are in. Where those are few for all
+//   1. A sample of a thousand particles, or at every thousandth: how many leaves they are in. Where those are few for all
 //      particles, the scene is dense, and nothing more is looked at.
-//   2. Else a pilot: one pass over all particles, which keeps those of some cubes of 6 radii, drawn by a hash of their
+//   2. Else a sample of cubes: one pass over all particles, which keeps those of some cubes of 6 radii, drawn by a hash of their
 //      coordinates, and counts in these what each size would cost.
 #include "cpu/kernels.h"
 #include "cpu/round_down-inl.h"
@@ -27,10 +27,11 @@ namespace vdb_nns {
 namespace {
 
 constexpr std::size_t kBatch = CellMap::kBatch;
-constexpr std::size_t kGlance = 1024; // particles for one of the glance; but so many at least, or one of 256
-// Particles that the pilot is to keep at least: so many; or those of so many leaves, where they are full, but not more than a
+constexpr std::size_t kOccupancyStride =
+    1024; // particles for one of the sample; but so many at least, or one of 256
+// Particles that the sample of cubes is to keep at least: so many; or those of so many leaves, where they are full, but not more than a
 // share or so many. With so many times as many it has drawn a crowd, whose tests are all that counts.
-constexpr double kPilot = 2048, kPilotLeaves = 8, kPilotShare = 1.0 / 32, kPilotMost = 65536;
+constexpr double kSampleLeast = 2048, kSampleLeaves = 8, kSampleShare = 1.0 / 32, kSampleMost = 65536;
 constexpr double kCrowdDrawn = 16;
 constexpr double kLeafCells = 512;
 
@@ -64,25 +65,25 @@ std::uint64_t hashOf(std::int64_t x, std::int64_t y, std::int64_t z)
     return h ^ (h >> 31);
 }
 
-struct Glance {
+struct OccupancySample {
     double perLeaf = 0; // particles a leaf, at most: of all over the leaves met. 0 where none is in range
-    double crowd = 0; // particles in the leaf of the mean particle, by how often two of the glance share one
+    double crowd = 0; // particles in the leaf of the mean particle, by how often two of the sample share one
 };
 
-Glance glanceAtLeaves(const ParticleSource& source, const CellMap& map)
+OccupancySample sampleOccupancy(const ParticleSource& source, const CellMap& map)
 {
     const std::size_t size = source.size();
-    const std::size_t least = std::min(kGlance, size / 256 + 1);
-    const std::size_t glanced = std::min(size, std::max(least, size / kGlance));
+    const std::size_t least = std::min(kOccupancyStride, size / 256 + 1);
+    const std::size_t sampled = std::min(size, std::max(least, size / kOccupancyStride));
     std::vector<std::uint64_t> leaves; // of each particle met, by hash
-    leaves.reserve(glanced);
+    leaves.reserve(sampled);
     double stored[3][kBatch];
     CellMap::Located at;
-    for (std::size_t begin = 0; begin < glanced; begin += kBatch) {
-        const std::size_t n = std::min(kBatch, glanced - begin);
+    for (std::size_t begin = 0; begin < sampled; begin += kBatch) {
+        const std::size_t n = std::min(kBatch, sampled - begin);
         for (std::size_t k = 0; k < n; ++k) {
             // One of each of as many equal shares, anywhere in it: no lattice falls in step with that.
-            const std::size_t low = size * (begin + k) / glanced, high = size * (begin + k + 1) / glanced;
+            const std::size_t low = size * (begin + k) / sampled, high = size * (begin + k + 1) / sampled;
             const std::size_t i = low + hashOf(static_cast<std::int64_t>(begin + k), 0, 0) % (high - low);
             source.read(i, 1, map.reference, &stored[0][k], &stored[1][k], &stored[2][k]);
         }
@@ -116,7 +117,7 @@ struct CubeMap {
     }
 };
 
-// A particle that the pilot keeps.
+// A particle in a sampled cube.
 struct Kept {
     Vec3i cube;
     std::uint16_t place; // in its cube, in units: x << 8 | y << 4 | z
@@ -130,7 +131,7 @@ void keep(const CubeMap& map, double x, double y, double z, std::vector<Kept>& k
     for (int k = 0; k < 3; ++k) {
         const double t = map.rows[k][0] * x + map.rows[k][1] * y + map.rows[k][2] * z;
         if (!(std::fabs(t) < CellMap::kLimit)) return;
-        const double cube = roundDown(t); // as in drawLots(): at a face both mean the same cube
+        const double cube = roundDown(t); // as in sampleCubes(): at a face both mean the same cube
         const int unit = static_cast<int>((t - cube) * kUnits);
         particle.cube[k] = static_cast<std::int32_t>(cube);
         place = place << 4 | static_cast<unsigned>(std::clamp(unit, 0, kUnits - 1));
@@ -145,11 +146,11 @@ struct Draw {
     std::size_t most = 0; // particles
     std::atomic<std::size_t> drawn{0};
 
-    // For so many particles; `crowd` is what the glance saw.
+    // For so many particles; `crowd` is what the occupancy sample saw.
     Draw(double size, double crowd)
     {
         const double least =
-            std::max(kPilot, std::min({kPilotLeaves * crowd, kPilotShare * size, kPilotMost}));
+            std::max(kSampleLeast, std::min({kSampleLeaves * crowd, kSampleShare * size, kSampleMost}));
         while (std::ldexp(size, -log2Shares) > 2 * least) ++log2Shares;
         most = static_cast<std::size_t>(kCrowdDrawn * least);
     }
@@ -158,8 +159,9 @@ struct Draw {
 };
 
 // Keeps the particles of cubes that are drawn.
-void keepSome(const ParticleSource& source, const CubeMap& map, DrawLotsFunction drawLots, std::size_t begin,
-              std::size_t end, Draw& draw, std::vector<Kept>& kept, const CancelCheck& cancel)
+void keepSome(const ParticleSource& source, const CubeMap& map, SampleCubesFunction sampleCubes,
+              std::size_t begin, std::size_t end, Draw& draw, std::vector<Kept>& kept,
+              const CancelCheck& cancel)
 {
     double stored[3][kBatch];
     std::uint8_t drawn[kBatch];
@@ -167,7 +169,7 @@ void keepSome(const ParticleSource& source, const CubeMap& map, DrawLotsFunction
         if (begin / kBatch % 64 == 0) cancel.check();
         const std::size_t n = std::min(kBatch, end - begin), before = kept.size();
         source.read(begin, n, map.reference, stored[0], stored[1], stored[2]);
-        drawLots(stored[0], stored[1], stored[2], n, map.rows, 0xFFFFFFFFu >> draw.log2Shares, drawn);
+        sampleCubes(stored[0], stored[1], stored[2], n, map.rows, 0xFFFFFFFFu >> draw.log2Shares, drawn);
         std::fill(drawn + n, drawn + kBatch, 0);
         for (std::size_t i = 0; i < n; i += 8) {
             std::uint64_t any;
@@ -181,7 +183,7 @@ void keepSome(const ParticleSource& source, const CubeMap& map, DrawLotsFunction
     }
 }
 
-// The particles kept by the pilot, by cube. In the order of the input, for any number of threads.
+// The particles of the sampled cubes, by cube. In the order of the input, for any number of threads.
 struct Sample {
     std::vector<std::uint32_t> cubeStart; // of each cube in `places`, and the end
     std::vector<std::uint16_t> places;
@@ -216,14 +218,14 @@ Sample groupByCube(const std::vector<std::vector<Kept>>& kept)
 }
 
 // None where a crowd is drawn.
-Sample runPilot(const ParticleSource& source, const CubeMap& map, DrawLotsFunction drawLots, double crowd,
-                const CancelCheck& cancel)
+Sample sampleCubesOf(const ParticleSource& source, const CubeMap& map, SampleCubesFunction sampleCubes,
+                     double crowd, const CancelCheck& cancel)
 {
     Draw draw(static_cast<double>(source.size()), crowd);
     const auto parts = 4 * static_cast<std::size_t>(tbb::this_task_arena::max_concurrency());
     std::vector<std::vector<Kept>> kept(parts);
     tbb::parallel_for(std::size_t(0), parts, [&](std::size_t p) {
-        keepSome(source, map, drawLots, source.size() * p / parts, source.size() * (p + 1) / parts, draw,
+        keepSome(source, map, sampleCubes, source.size() * p / parts, source.size() * (p + 1) / parts, draw,
                  kept[p], cancel);
     });
     return draw.isCrowd() ? Sample() : groupByCube(kept);
@@ -309,11 +311,11 @@ double cheapestSize(const Sample& sample)
 double chooseCellSize(const ParticleSource& source, double radius, SimdLevel simd, bool mayBeWide,
                       const CancelCheck& cancel)
 {
-    const Glance glance = glanceAtLeaves(source, CellMap(source, radius, 1, simd));
-    if (glance.perLeaf >= kCrowded * kLeafCells) return 0.5;
-    if (!mayBeWide || glance.perLeaf == 0 || glance.perLeaf >= kDense * kLeafCells) return 1;
+    const OccupancySample occupancy = sampleOccupancy(source, CellMap(source, radius, 1, simd));
+    if (occupancy.perLeaf >= kCrowded * kLeafCells) return 0.5;
+    if (!mayBeWide || occupancy.perLeaf == 0 || occupancy.perLeaf >= kDense * kLeafCells) return 1;
     const Sample sample =
-        runPilot(source, CubeMap(source, radius), kernelsFor(simd).drawLots, glance.crowd, cancel);
+        sampleCubesOf(source, CubeMap(source, radius), kernelsFor(simd).sampleCubes, occupancy.crowd, cancel);
     return sample.places.empty() ? 1 : cheapestSize(sample);
 }
 

@@ -1,4 +1,3 @@
-// See cell_map.h.
 #include "grid/cell_map.h"
 
 #include <Eigen/Dense>
@@ -20,7 +19,7 @@ CellMap::CellMap(const ParticleSource& source, double radius, double cellsPerRad
     // Where the reciprocal would leave the normal numbers, cells are wider than they need be, which is always correct.
     cellsPerUnit = radius > 1e300    ? std::ldexp(1.0, -1025)
                    : radius < 1e-290 ? 1e289
-                                     : cellsPerRadius / (radius * (1 + kHair));
+                                     : cellsPerRadius / (radius * (1 + kCellPadding));
     for (int k = 0; k < 3; ++k) {
         for (int c = 0; c < 3; ++c) mMatrix[k][c] = source.linear()[k][c] * cellsPerUnit;
     }

@@ -24,7 +24,7 @@
 namespace vdb_nns {
 
 struct CellMap {
-    static constexpr double kHair = 1.0 / 65536;
+    static constexpr double kCellPadding = 1.0 / 65536;
     static constexpr double kMaxErrorCells = 6.7e-6;
     static constexpr double kLimit = 2147483648.0 - 4096; // cell coordinates stay inside
 

@@ -1,4 +1,3 @@
-// See file_leaves.h.
 #include "grid/file_leaves.h"
 
 #include "grid/cell_map.h"

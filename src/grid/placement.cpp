@@ -1,4 +1,3 @@
-// See placement.h.
 #include "grid/placement.h"
 
 #include "points/particle_source.h"

@@ -1,4 +1,3 @@
-// See npz_parts.h.
 #include "io/npz_parts.h"
 
 #include "io/output_file.h"

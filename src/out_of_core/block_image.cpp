@@ -1,4 +1,3 @@
-// See block_image.h.
 #include "out_of_core/block_image.h"
 
 #include <algorithm>

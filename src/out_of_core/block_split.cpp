@@ -1,4 +1,3 @@
-// See block_parts.h.
 #include "out_of_core/block_split.h"
 
 #include "lists/cell_candidates.h"
@@ -53,13 +52,13 @@ public:
     {
     }
 
-    void split(const RunBlock& whole);
+    void split(const PendingBlock& whole);
     BlockSplit takeResult() { return std::move(mResult); }
 
 private:
-    RunBlock partOf(const RunBlock& whole, const Range& range) const;
-    BlockBytes bytesOf(const RunBlock& part, std::uint64_t maskWords) const;
-    Range firstHalf(const RunBlock& whole) const;
+    PendingBlock partOf(const PendingBlock& whole, const Range& range) const;
+    BlockBytes bytesOf(const PendingBlock& part, std::uint64_t maskWords) const;
+    Range firstHalf(const PendingBlock& whole) const;
 
     const SparseGridData& mGrid;
     const MemoryModel& mModel;
@@ -68,19 +67,19 @@ private:
     BlockSplit mResult;
 };
 
-void Splitter::split(const RunBlock& whole)
+void Splitter::split(const PendingBlock& whole)
 {
     const BlockPart& part = whole.part;
     if (whole.queries() <= Block::kFewestQueries) {
-        RunBlock known = partOf(whole, {part.firstLeaf, part.endLeaf, part.firstSlot, part.endSlot});
+        PendingBlock known = partOf(whole, {part.firstLeaf, part.endLeaf, part.firstSlot, part.endSlot});
         const bool fits = known.item.isExact && known.item.bytes.total() <= mMostBytes;
         (fits ? mResult.parts : mResult.tooLarge).push_back(std::move(known));
         return;
     }
     const bool isLeaf = part.endLeaf - part.firstLeaf == 1;
     const Range half = firstHalf(whole);
-    const RunBlock first = partOf(whole, half);
-    const RunBlock second =
+    const PendingBlock first = partOf(whole, half);
+    const PendingBlock second =
         partOf(whole, {isLeaf ? part.firstLeaf : half.endLeaf, part.endLeaf, half.endSlot, part.endSlot});
     // A leaf's particles and halo stay with every part of it.
     if (isLeaf && first.item.bytes.up > mMostBytes) {
@@ -88,7 +87,7 @@ void Splitter::split(const RunBlock& whole)
         return;
     }
     // The second first: what is added last is taken first.
-    for (const RunBlock* own : {&second, &first}) {
+    for (const PendingBlock* own : {&second, &first}) {
         if (mCounts.count && mMostBytes > 0 && own->item.bytes.total() > mMostBytes) {
             split(*own);
         } else {
@@ -98,7 +97,7 @@ void Splitter::split(const RunBlock& whole)
 }
 
 // Where the particles are halved; between leaves if there are several, and then each half has one at least.
-Range Splitter::firstHalf(const RunBlock& whole) const
+Range Splitter::firstHalf(const PendingBlock& whole) const
 {
     const BlockPart& part = whole.part;
     const std::uint32_t middle = part.firstSlot + static_cast<std::uint32_t>(whole.queries() / 2);
@@ -110,9 +109,9 @@ Range Splitter::firstHalf(const RunBlock& whole) const
     return {part.firstLeaf, leaf, part.firstSlot, mGrid.leaves[leaf].firstSlot};
 }
 
-RunBlock Splitter::partOf(const RunBlock& whole, const Range& range) const
+PendingBlock Splitter::partOf(const PendingBlock& whole, const Range& range) const
 {
-    RunBlock half = whole;
+    PendingBlock half = whole;
     half.part = {range.firstLeaf,
                  range.endLeaf,
                  range.firstSlot,
@@ -135,7 +134,7 @@ RunBlock Splitter::partOf(const RunBlock& whole, const Range& range) const
     return half;
 }
 
-BlockBytes Splitter::bytesOf(const RunBlock& part, std::uint64_t maskWords) const
+BlockBytes Splitter::bytesOf(const PendingBlock& part, std::uint64_t maskWords) const
 {
     using M = MemoryModel;
     constexpr double kUndecidedMargin = 1.25; // queries of a part may have more than those of the whole
@@ -169,9 +168,9 @@ bool isOf(const SparseGridData& grid, const Block& block, std::uint64_t firstSlo
 
 } // namespace
 
-std::vector<RunBlock> runBlocksOf(const SparseGridData& grid, const Schedule& schedule)
+std::vector<PendingBlock> pendingBlocksOf(const SparseGridData& grid, const Schedule& schedule)
 {
-    std::vector<RunBlock> blocks;
+    std::vector<PendingBlock> blocks;
     std::uint64_t next = 0; // slot that the next block begins with
     for (const Block& planned : schedule.blocks) {
         const std::size_t number = blocks.size();
@@ -179,7 +178,7 @@ std::vector<RunBlock> runBlocksOf(const SparseGridData& grid, const Schedule& sc
             throw InvalidInput("block " + std::to_string(number) + " of the schedule is not of this grid");
         }
         next = planned.endSlot;
-        RunBlock& block = blocks.emplace_back();
+        PendingBlock& block = blocks.emplace_back();
         block.block = number;
         block.item = {number, planned.work.candidateTests, boundaryTests(planned), planned.bytes,
                       schedule.model.encoding != Encoding::kIndex};
@@ -200,7 +199,7 @@ std::vector<RunBlock> runBlocksOf(const SparseGridData& grid, const Schedule& sc
     return blocks;
 }
 
-void makeHalo(const SparseGridData& grid, RunBlock& block)
+void makeHalo(const SparseGridData& grid, PendingBlock& block)
 {
     BlockHalo halo = haloOf(grid, block.part.firstLeaf, block.part.endLeaf, block.log2Cells);
     if (block.withHalo) {
@@ -237,7 +236,7 @@ std::uint64_t KnownCounts::sum(std::uint32_t begin, std::uint32_t end) const
     return std::accumulate(count + (begin - firstSlot), count + (end - firstSlot), std::uint64_t(0));
 }
 
-BlockSplit splitBlock(const SparseGridData& grid, const MemoryModel& model, const RunBlock& whole,
+BlockSplit splitBlock(const SparseGridData& grid, const MemoryModel& model, const PendingBlock& whole,
                       const KnownCounts& counts, std::uint64_t mostBytes)
 {
     Splitter splitter(grid, model, counts, mostBytes);

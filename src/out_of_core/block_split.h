@@ -16,7 +16,7 @@
 namespace vdb_nns {
 
 // All of a block of the schedule, or a part of it after a split.
-struct RunBlock {
+struct PendingBlock {
     std::size_t block = 0; // of the schedule
     Dispatcher::Item item;
     BlockPart part;
@@ -33,10 +33,10 @@ struct RunBlock {
 };
 
 // The blocks of a schedule, none of them staged. Throws InvalidInput for a schedule of another grid.
-std::vector<RunBlock> runBlocksOf(const SparseGridData& grid, const Schedule& schedule);
+std::vector<PendingBlock> pendingBlocksOf(const SparseGridData& grid, const Schedule& schedule);
 
 // Makes the halo of a block, or finds the cells whose queries are left to TBB workers. Not for a block that is staged.
-void makeHalo(const SparseGridData& grid, RunBlock& block);
+void makeHalo(const SparseGridData& grid, PendingBlock& block);
 
 // The cells of a leaf whose queries a part has, in `cells`; null where it has all of them.
 const std::uint64_t* wantedCells(const SparseGridData& grid, const BlockPart& part, std::uint32_t leaf,
@@ -55,15 +55,15 @@ struct KnownCounts {
 
 // What becomes of a block.
 struct BlockSplit {
-    std::vector<RunBlock> parts;    // for devices, with their halo; the last one is next
-    std::vector<RunBlock> tooLarge; // for TBB workers: no smaller parts are made, and no device has room
+    std::vector<PendingBlock> parts;    // for devices, with their halo; the last one is next
+    std::vector<PendingBlock> tooLarge; // for TBB workers: no smaller parts are made, and no device has room
 };
 
 // Two halves of a block, and halves of those where what is known says that they do not fit either: between leaves as long as
 // there are several, then between the queries of a leaf, down to Block::kFewestQueries. A block with as few stays one part.
 // `mostBytes`: the most that a device in use has for a block; 0 where there is none, and then nothing needs to fit. The block
 // is staged.
-BlockSplit splitBlock(const SparseGridData& grid, const MemoryModel& model, const RunBlock& whole,
+BlockSplit splitBlock(const SparseGridData& grid, const MemoryModel& model, const PendingBlock& whole,
                       const KnownCounts& counts, std::uint64_t mostBytes);
 
 } // namespace vdb_nns

@@ -1,4 +1,3 @@
-// See block_flight.h.
 #include "out_of_core/block_transfer.h"
 
 #include <algorithm>
@@ -30,32 +29,32 @@ std::uint64_t leastBytes(const SparseGridData& grid, const BlockPart& part, Enco
            scratchBytes(queriesOf(part), encoding) + kAlignment;
 }
 
-FlownBlock flyBlock(BlockDevice& device, const DeviceSlot& slot, const SparseGridData& grid,
-                    const BlockPart& part, const FlightPlan& plan)
+TransferredBlock transferBlock(BlockDevice& device, const DeviceBuffer& buffer, const SparseGridData& grid,
+                               const BlockPart& part, const TransferPlan& plan)
 {
-    const BlockImage image = writeImage(grid, part, slot.staging, slot.device);
-    const std::uint64_t resultBytes = slot.bytes - image.bytes,
+    const BlockImage image = writeImage(grid, part, buffer.staging, buffer.device);
+    const std::uint64_t resultBytes = buffer.bytes - image.bytes,
                         room = resultRoom(resultBytes, queriesOf(part), plan.encoding);
-    std::byte* const result = slot.device + image.bytes;
-    FlownBlock flown;
-    flown.layout = resultLayout(image.leaves, queriesOf(part), plan.encoding);
-    flown.bytesUp = image.bytes;
-    device.upload(slot.number, slot.device, slot.staging, image.bytes);
-    device.search(slot.number, {image, plan.bounds, plan.encoding, result, resultBytes});
+    std::byte* const result = buffer.device + image.bytes;
+    TransferredBlock transferred;
+    transferred.layout = resultLayout(image.leaves, queriesOf(part), plan.encoding);
+    transferred.bytesUp = image.bytes;
+    device.upload(buffer.number, buffer.device, buffer.staging, image.bytes);
+    device.search(buffer.number, {image, plan.bounds, plan.encoding, result, resultBytes});
     // The image is on the device; its staging memory takes the result.
-    std::uint64_t there = std::min(std::max(plan.bytesDown, flown.layout.rows), room);
-    flown.result = device.download(slot.number, slot.staging, result, there);
-    flown.times = device.wait(slot.number);
-    std::memcpy(&flown.head, flown.result, sizeof flown.head);
-    const std::uint64_t needed = flown.layout.end(flown.head);
-    flown.overflowed = needed > room;
-    if (!flown.overflowed && needed > there) {
-        device.download(slot.number, slot.staging + there, result + there, needed - there);
-        add(flown.times, device.wait(slot.number));
+    std::uint64_t there = std::min(std::max(plan.bytesDown, transferred.layout.rows), room);
+    transferred.result = device.download(buffer.number, buffer.staging, result, there);
+    transferred.times = device.wait(buffer.number);
+    std::memcpy(&transferred.head, transferred.result, sizeof transferred.head);
+    const std::uint64_t needed = transferred.layout.end(transferred.head);
+    transferred.overflowed = needed > room;
+    if (!transferred.overflowed && needed > there) {
+        device.download(buffer.number, buffer.staging + there, result + there, needed - there);
+        add(transferred.times, device.wait(buffer.number));
         there = needed;
     }
-    flown.bytesDown = there;
-    return flown;
+    transferred.bytesDown = there;
+    return transferred;
 }
 
 } // namespace vdb_nns

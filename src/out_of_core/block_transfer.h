@@ -10,19 +10,19 @@
 namespace vdb_nns {
 
 // Where a device holds a block, and where the host does: as much memory each.
-struct DeviceSlot {
+struct DeviceBuffer {
     int number;
     std::byte *device, *staging;
     std::uint64_t bytes;
 };
 
-struct FlightPlan {
+struct TransferPlan {
     FilterBounds bounds;
     Encoding encoding;
     std::uint64_t bytesDown; // of the result; 0 where that is not known before
 };
 
-struct FlownBlock {
+struct TransferredBlock {
     ResultLayout layout{};
     std::byte* result = nullptr; // in host memory; without its rows after an overflow
     ResultHead head{};
@@ -34,8 +34,8 @@ struct FlownBlock {
 // Bytes that a part takes on a device at the least, with a result of no rows.
 std::uint64_t leastBytes(const SparseGridData& grid, const BlockPart& part, Encoding encoding);
 
-// The part has room in the slot for leastBytes(). Throws DeviceError.
-FlownBlock flyBlock(BlockDevice& device, const DeviceSlot& slot, const SparseGridData& grid,
-                    const BlockPart& part, const FlightPlan& plan);
+// The part has room in the buffer for leastBytes(). Throws DeviceError.
+TransferredBlock transferBlock(BlockDevice& device, const DeviceBuffer& buffer, const SparseGridData& grid,
+                               const BlockPart& part, const TransferPlan& plan);
 
 } // namespace vdb_nns

@@ -1,4 +1,3 @@
-// See collector.h.
 #include "out_of_core/collector.h"
 
 #include "lists/cell_candidates.h"
@@ -21,7 +20,7 @@ std::uint32_t* RowStore::take(std::size_t entries)
     return mNext - entries;
 }
 
-// Judges the undecided pairs. Those that are none leave counts and masks at once; of rows of numbers, which must stay where
+// Decides the undecided pairs. Those that are none leave counts and masks at once; of rows of numbers, which must stay where
 // the counts say, they are returned.
 std::vector<UndecidedPair> Collector::decide(const BlockPart& part, const ResultLayout& layout,
                                              std::byte* result, ThreadState& state) const
@@ -32,13 +31,13 @@ std::vector<UndecidedPair> Collector::decide(const BlockPart& part, const Result
         reinterpret_cast<const UndecidedPair*>(result + layout.undecided(head.rowBytes));
     auto* const counts = reinterpret_cast<std::uint32_t*>(result + layout.counts);
     auto* const rows = reinterpret_cast<std::uint32_t*>(result + layout.rows);
-    state.judgeBy(mExact, mCancel);
+    state.decideBy(mExact, mCancel);
     state.statistics.bandPairs += head.undecided;
-    const BandJudge judge = state.judge();
+    const ExactPredicate exact = state.exactPredicate();
     std::vector<UndecidedPair> refused;
     for (std::uint64_t u = 0; u < head.undecided; ++u) {
         const UndecidedPair& pair = undecided[u];
-        if (judge.isNeighbor(judge.state, mGrid.number[part.firstSlot + pair.query], pair.candidate))
+        if (exact.isNeighbor(exact.state, mGrid.number[part.firstSlot + pair.query], pair.candidate))
             continue;
         if (mEncoding == Encoding::kIndex) {
             refused.push_back(pair);

@@ -1,4 +1,3 @@
-// See cpu_blocks.h.
 #include "out_of_core/cpu_blocks.h"
 
 #include "util/wall_clock.h"
@@ -12,14 +11,14 @@ namespace vdb_nns {
 namespace {
 
 // On average: jobs are timed by what their queries are taken to cost.
-double testsPerQuery(const RunBlock& block, std::uint64_t queries)
+double testsPerQuery(const PendingBlock& block, std::uint64_t queries)
 {
     return queries > 0 ? static_cast<double>(block.item.tests) / static_cast<double>(queries) : 0;
 }
 
 } // namespace
 
-void CpuBlocks::start(const RunBlock& block)
+void CpuBlocks::start(const PendingBlock& block)
 {
     constexpr std::size_t kPiecesOfJob = 32;
     const std::vector<Piece>& pieces = mRun.pieces;
@@ -38,7 +37,7 @@ void CpuBlocks::start(const RunBlock& block)
     }
 }
 
-void CpuBlocks::stage(RunBlock& block)
+void CpuBlocks::stage(PendingBlock& block)
 {
     if (block.isStaged) return;
     makeHalo(mRun.grid, block);
@@ -74,7 +73,7 @@ std::uint64_t CpuBlocks::runPieces(std::size_t block, std::size_t first, std::si
                                    std::min(piece.endSlot, part.endSlot), neighborhood.leaf,
                                    wantedCells(mRun.grid, part, piece.leaf, cells)});
     }
-    mTargets.tally.show();
+    mTargets.progress.show();
     return queries;
 }
 
@@ -108,8 +107,8 @@ std::uint64_t CpuBlocks::runTask(std::size_t block, const SearchTask& task)
         });
     }
     if (!task.cells || !isMask) makeRows(task, state);
-    mTargets.tally.addPairs(block, state.statistics.pairs - before);
-    mTargets.tally.addCpuQueries(queries);
+    mTargets.progress.addPairs(block, state.statistics.pairs - before);
+    mTargets.progress.addCpuQueries(queries);
     return queries;
 }
 

@@ -1,7 +1,7 @@
 // The share of TBB workers in a run: blocks, and boundary regions of blocks that devices have, as jobs; and how long these
 // took. Makes rows where the plain search makes them. Knows the grid and blocks; nothing of devices and of who decides.
 //
-// Threads: start() and stage() only add jobs, and any thread may call them, a flight's too; jobs run on any thread of the
+// Threads: start() and stage() only add jobs, and any thread may call them, the job of a block in flight too; jobs run on any thread of the
 // arena, and the counters they add to are atomic.
 #pragma once
 
@@ -23,7 +23,7 @@ struct CpuTargets {
     EngineState& engine;
     NeighborListsData& lists;
     ChunkPool& pool;
-    RunTally& tally;
+    RunProgress& progress;
 };
 
 // What jobs have done, all workers together.
@@ -41,9 +41,9 @@ public:
     }
 
     // All queries of a block but those that others have.
-    void start(const RunBlock& block);
+    void start(const PendingBlock& block);
     // Makes the halo of a block, or starts its boundary region here. Once for a block, whoever runs it then.
-    void stage(RunBlock& block);
+    void stage(PendingBlock& block);
 
     CpuWork work() const { return {mTests, 1e-9 * static_cast<double>(mNanoseconds)}; }
 

@@ -1,4 +1,3 @@
-// See device_executor.h.
 #include "out_of_core/device_executor.h"
 
 #include "util/wall_clock.h"
@@ -11,54 +10,54 @@
 
 namespace vdb_nns {
 
-std::uint64_t Flight::pairs() const
+std::uint64_t BlockInFlight::pairs() const
 {
-    return flown.overflowed ? std::accumulate(counts.begin(), counts.end(), std::uint64_t(0))
-                            : collected.pairs;
+    return transferred.overflowed ? std::accumulate(counts.begin(), counts.end(), std::uint64_t(0))
+                                  : collected.pairs;
 }
 
-// ---- slots ---------------------------------------------------------------------------------------------------------
+// ---- buffers ---------------------------------------------------------------------------------------------------------
 
-void DeviceExecutor::openSlots(const SlotNeed& need)
+void DeviceExecutor::openBuffers(const BufferNeed& need)
 {
     constexpr std::uint64_t kLeastBytes = 1024;
-    if (need.slots == 0 || !mDevice) return;
-    SlotNeed asked = need;
-    while (!tryOpenSlots(asked)) {
+    if (need.buffers == 0 || !mDevice) return;
+    BufferNeed asked = need;
+    while (!tryOpenBuffers(asked)) {
         ++mHalvings;
         asked.bytes = asked.bytes / 2 / 16 * 16;
         if (asked.bytes < kLeastBytes) throw OutOfDeviceMemory("it refused memory for even a small block");
     }
-    mSlotBytes = asked.bytes;
+    mBufferBytes = asked.bytes;
     if (!mDevice->isSimulated()) startThreads();
 }
 
-// One a slot. Slots that get none are done without.
+// One a buffer. Buffers that get none are done without.
 void DeviceExecutor::startThreads()
 {
     try {
-        while (mThreads.size() < mSlots.size()) mThreads.push_back(mCrew.jobs.addThread());
+        while (mThreads.size() < mBuffers.size()) mThreads.push_back(mContext.jobs.addThread());
     } catch (const std::system_error& error) {
-        mSlots.resize(mThreads.size());
-        if (!mSlots.empty()) return;
+        mBuffers.resize(mThreads.size());
+        if (!mBuffers.empty()) return;
         mDevice->releaseAll();
-        throw DeviceError(std::string("no thread could be started for its slots: ") + error.what() +
+        throw DeviceError(std::string("no thread could be started for its buffers: ") + error.what() +
                           "; allow more threads (ulimit -u) or memory");
     }
 }
 
 // False when there is not so much memory. Throws DeviceError. Nothing is held after either.
-bool DeviceExecutor::tryOpenSlots(const SlotNeed& need)
+bool DeviceExecutor::tryOpenBuffers(const BufferNeed& need)
 {
     const auto release = [this] {
-        mSlots.clear();
+        mBuffers.clear();
         mDevice->releaseAll();
     };
     try {
-        for (std::size_t s = 0; s < need.slots; ++s) {
-            mSlots.push_back({static_cast<int>(s), mDevice->allocate(need.bytes), nullptr, need.bytes});
+        for (std::size_t s = 0; s < need.buffers; ++s) {
+            mBuffers.push_back({static_cast<int>(s), mDevice->allocate(need.bytes), nullptr, need.bytes});
         }
-        for (DeviceSlot& slot : mSlots) slot.staging = mDevice->allocateStaging(need.bytes);
+        for (DeviceBuffer& buffer : mBuffers) buffer.staging = mDevice->allocateStaging(need.bytes);
         return true;
     } catch (const OutOfDeviceMemory&) {
         release();
@@ -69,86 +68,87 @@ bool DeviceExecutor::tryOpenSlots(const SlotNeed& need)
     }
 }
 
-// ---- flights -------------------------------------------------------------------------------------------------------
+// ---- blocks in flight --------------------------------------------------------------------------------------------
 
-void DeviceExecutor::begin(RunBlock block)
+void DeviceExecutor::begin(PendingBlock block)
 {
-    auto flight = std::make_unique<Flight>();
-    flight->block = std::move(block);
-    flight->slot = mBegun++ % mSlots.size();
-    Flight& own = *flight;
-    mFlights.push_back(std::move(flight));
-    const auto job = [this, &own] { fly(own); };
+    auto inFlight = std::make_unique<BlockInFlight>();
+    inFlight->block = std::move(block);
+    inFlight->buffer = mBegun++ % mBuffers.size();
+    BlockInFlight& own = *inFlight;
+    mInFlight.push_back(std::move(inFlight));
+    const auto job = [this, &own] { transfer(own); };
     if (mThreads.empty()) {
-        mCrew.jobs.add(job);
+        mContext.jobs.add(job);
     } else {
-        mCrew.jobs.addTo(mThreads[own.slot], job);
+        mContext.jobs.addTo(mThreads[own.buffer], job);
     }
 }
 
-std::unique_ptr<Flight> DeviceExecutor::awaitOldest()
+std::unique_ptr<BlockInFlight> DeviceExecutor::awaitOldest()
 {
-    mCrew.jobs.runUntil([&] { return mFlights.front()->ended.load(); });
-    std::unique_ptr<Flight> flight = std::move(mFlights.front());
-    mFlights.pop_front();
-    return flight;
+    mContext.jobs.runUntil([&] { return mInFlight.front()->ended.load(); });
+    std::unique_ptr<BlockInFlight> inFlight = std::move(mInFlight.front());
+    mInFlight.pop_front();
+    return inFlight;
 }
 
 // A schedule of another grid may say less than its blocks take; nothing is written then.
-void DeviceExecutor::requireRoom(const RunBlock& block) const
+void DeviceExecutor::requireRoom(const PendingBlock& block) const
 {
-    const std::uint64_t needed = leastBytes(mCrew.run.grid, block.part, mCrew.model.encoding);
-    if (needed <= mSlotBytes) return;
+    const std::uint64_t needed = leastBytes(mContext.run.grid, block.part, mContext.model.encoding);
+    if (needed <= mBufferBytes) return;
     throw InvalidInput("block " + std::to_string(block.block) + " needs " + std::to_string(needed) +
-                       " bytes and more, and the schedule has " + std::to_string(mSlotBytes) +
+                       " bytes and more, and the schedule has " + std::to_string(mBufferBytes) +
                        " for it: it is not of this grid");
 }
 
-// The job. What is no failure of the device ends the run; the flight has not ended then.
-void DeviceExecutor::fly(Flight& flight) const
+// The job. What is no failure of the device ends the run; the block has not ended then.
+void DeviceExecutor::transfer(BlockInFlight& inFlight) const
 {
-    const SearchRun& run = mCrew.run;
-    const Encoding encoding = mCrew.model.encoding;
+    const SearchRun& run = mContext.run;
+    const Encoding encoding = mContext.model.encoding;
     try {
         run.cancel.check();
-        mCrew.cpu.stage(flight.block);
-        requireRoom(flight.block);
-        const BlockPart& part = flight.block.part;
+        mContext.cpu.stage(inFlight.block);
+        requireRoom(inFlight.block);
+        const BlockPart& part = inFlight.block.part;
         const bool isKnown =
             encoding == Encoding::kNone ||
-            (encoding == Encoding::kMask && mCrew.model.masksAreExact && part.without.empty());
-        flight.flown = flyBlock(*mDevice, mSlots[flight.slot], run.grid, part,
-                                {run.context.bounds, encoding, isKnown ? flight.block.item.bytes.down : 0});
-        const FlownBlock& flown = flight.flown;
-        if (flown.overflowed) {
+            (encoding == Encoding::kMask && mContext.model.masksAreExact && part.without.empty());
+        inFlight.transferred =
+            transferBlock(*mDevice, mBuffers[inFlight.buffer], run.grid, part,
+                          {run.context.bounds, encoding, isKnown ? inFlight.block.item.bytes.down : 0});
+        const TransferredBlock& transferred = inFlight.transferred;
+        if (transferred.overflowed) {
             const auto* const counts =
-                reinterpret_cast<const std::uint32_t*>(flown.result + flown.layout.counts);
-            flight.counts.assign(counts, counts + flight.block.queries());
+                reinterpret_cast<const std::uint32_t*>(transferred.result + transferred.layout.counts);
+            inFlight.counts.assign(counts, counts + inFlight.block.queries());
         } else {
             const double start = wallSeconds();
-            flight.collected =
-                mCrew.collector.collect(part, flown.layout, flown.result, mCrew.engine.states.local());
-            flight.collectSeconds = wallSeconds() - start;
-            mCrew.tally.addPairs(flight.block.block, flight.collected.pairs);
+            inFlight.collected = mContext.collector.collect(part, transferred.layout, transferred.result,
+                                                            mContext.engine.states.local());
+            inFlight.collectSeconds = wallSeconds() - start;
+            mContext.progress.addPairs(inFlight.block.block, inFlight.collected.pairs);
         }
     } catch (const DeviceError& error) {
-        flight.failure = error.what();
-        if (flight.failure.empty()) flight.failure = "unknown";
+        inFlight.failure = error.what();
+        if (inFlight.failure.empty()) inFlight.failure = "unknown";
     }
-    flight.ended = true;
+    inFlight.ended = true;
 }
 
 // ---- measured ------------------------------------------------------------------------------------------------------
 
-void DeviceExecutor::measure(const Flight& flight)
+void DeviceExecutor::measure(const BlockInFlight& inFlight)
 {
-    const FlownBlock& flown = flight.flown;
-    mWork.times.uploadSeconds += flown.times.uploadSeconds;
-    mWork.times.searchSeconds += flown.times.searchSeconds;
-    mWork.times.downloadSeconds += flown.times.downloadSeconds;
-    mWork.tests += flight.block.item.tests;
-    mWork.bytesUp += flown.bytesUp;
-    mWork.bytesDown += flown.bytesDown;
+    const TransferredBlock& transferred = inFlight.transferred;
+    mWork.times.uploadSeconds += transferred.times.uploadSeconds;
+    mWork.times.searchSeconds += transferred.times.searchSeconds;
+    mWork.times.downloadSeconds += transferred.times.downloadSeconds;
+    mWork.tests += inFlight.block.item.tests;
+    mWork.bytesUp += transferred.bytesUp;
+    mWork.bytesDown += transferred.bytesDown;
 }
 
 Rates ratesOf(const DeviceWork& work, const Rates& before)

@@ -1,9 +1,9 @@
-// One device in a run: the memory of its slots, the blocks that it has in flight, and what it has done. Knows its BlockDevice
+// One device in a run: the memory of its buffers, the blocks that it has in flight, and what it has done. Knows its BlockDevice
 // and blocks; nothing of the schedule, of other devices, and of who decides.
 //
-// Threads: everything that is public is called by the decider alone. A flight runs as a job: on the arena where the device is
-// simulated, else on a thread of its slot, where it sleeps while the device works. Until Flight::ended is true the flight is
-// that job's, then the decider's. A slot has one flight at a time: a device that is full() to the dispatcher begins none
+// Threads: everything that is public is called by the decider alone. A block in flight is a job: on the arena where the device is
+// simulated, else on a thread of its buffer, where it sleeps while the device works. Until BlockInFlight::ended is true it is
+// that job's, then the decider's. A buffer holds one block at a time: a device that is full() to the dispatcher begins none
 // before its oldest has ended.
 #pragma once
 
@@ -30,11 +30,11 @@
 namespace vdb_nns {
 
 // A block on a device, and what has come of it.
-struct Flight {
-    RunBlock block;
-    std::size_t slot = 0;
+struct BlockInFlight {
+    PendingBlock block;
+    std::size_t buffer = 0;
     std::atomic<bool> ended{false};
-    FlownBlock flown;
+    TransferredBlock transferred;
     Collector::Collected collected; // unless it has overflowed
     double collectSeconds = 0;
     std::vector<std::uint32_t> counts; // of its queries, after an overflow
@@ -43,24 +43,24 @@ struct Flight {
     std::uint64_t pairs() const;
 };
 
-// What the flights of all devices share. It outlives the jobs.
-struct FlightCrew {
+// What the blocks in flight of all devices share. It outlives the jobs.
+struct DeviceContext {
     EngineState& engine;
     const SearchRun& run;
     const MemoryModel& model;
     Collector& collector;
     CpuBlocks& cpu; // has the boundary regions
-    RunTally& tally;
+    RunProgress& progress;
     JobQueue& jobs;
 };
 
-// Slots that a device can use.
-struct SlotNeed {
-    std::size_t slots = 0;
+// Buffers that a device can use.
+struct BufferNeed {
+    std::size_t buffers = 0;
     std::uint64_t bytes = 0; // each
 };
 
-// Of the flights that have come back: what a device's own clock says, and of what.
+// Of the blocks that have come back: what a device's own clock says, and of what.
 struct DeviceWork {
     StepTimes times;
     std::uint64_t tests = 0, bytesUp = 0, bytesDown = 0;
@@ -68,52 +68,52 @@ struct DeviceWork {
 
 class DeviceExecutor {
 public:
-    DeviceExecutor(std::unique_ptr<BlockDevice> device, const FlightCrew& crew)
-        : mDevice(std::move(device)), mCrew(crew)
+    DeviceExecutor(std::unique_ptr<BlockDevice> device, const DeviceContext& crew)
+        : mDevice(std::move(device)), mContext(crew)
     {
     }
     DeviceExecutor(const DeviceExecutor&) = delete; // jobs have its address
     DeviceExecutor& operator=(const DeviceExecutor&) = delete;
 
-    // Memory, and threads where it needs some, for the slots: as large as that, or half of it, and half of that, where the
-    // device refuses; fewer slots where threads are. Throws OutOfDeviceMemory when it refuses a small block, and DeviceError; it has no slots then.
-    void openSlots(const SlotNeed& need);
-    std::size_t slotCount() const { return mSlots.size(); }
-    std::uint64_t slotBytes() const { return mSlotBytes; }
+    // Memory, and threads where it needs some, for the buffers: as large as that, or half of it, and half of that, where the
+    // device refuses; fewer buffers where threads are. Throws OutOfDeviceMemory when it refuses a small block, and DeviceError; it has no buffers then.
+    void openBuffers(const BufferNeed& need);
+    std::size_t bufferCount() const { return mBuffers.size(); }
+    std::uint64_t bufferBytes() const { return mBufferBytes; }
     std::uint64_t halvings() const { return mHalvings; } // of what was asked for
 
     // The device itself, once nothing flies; after that, only what has been measured is left.
     std::unique_ptr<BlockDevice> close() { return std::move(mDevice); }
 
-    // One that could not be opened, a null device, has no slots, and no times of its own.
+    // One that could not be opened, a null device, has no buffers, and no times of its own.
     bool isSimulated() const { return !mDevice || mDevice->isSimulated(); }
     std::uint64_t peakBytes() const { return mDevice ? mDevice->peakBytes() : 0; }
 
-    // There is a slot for it.
-    void begin(RunBlock block);
-    bool isFlying() const { return !mFlights.empty(); }
-    bool oldestHasEnded() const { return isFlying() && mFlights.front()->ended; }
-    // The flight that was begun first, once it has ended; meanwhile the caller works on jobs. Throws what a job threw.
-    std::unique_ptr<Flight> awaitOldest();
+    // There is a buffer for it.
+    void begin(PendingBlock block);
+    bool hasInFlight() const { return !mInFlight.empty(); }
+    bool oldestHasEnded() const { return hasInFlight() && mInFlight.front()->ended; }
+    // The block that was begun first, once it has ended; meanwhile the caller works on jobs. Throws what a job threw.
+    std::unique_ptr<BlockInFlight> awaitOldest();
 
-    // Adds a flight that has come back.
-    void measure(const Flight& flight);
+    // Adds a block that has come back.
+    void measure(const BlockInFlight& inFlight);
     const DeviceWork& work() const { return mWork; }
 
 private:
-    bool tryOpenSlots(const SlotNeed& need);
+    bool tryOpenBuffers(const BufferNeed& need);
     void startThreads();
-    void requireRoom(const RunBlock& block) const;
-    void fly(Flight& flight) const;
+    void requireRoom(const PendingBlock& block) const;
+    void transfer(BlockInFlight& inFlight) const;
 
     std::unique_ptr<BlockDevice> mDevice;
-    const FlightCrew mCrew;
-    std::vector<DeviceSlot> mSlots;
-    std::vector<std::size_t> mThreads; // of the slots, where they have some
-    std::uint64_t mSlotBytes = 0, mHalvings = 0;
+    const DeviceContext mContext;
+    std::vector<DeviceBuffer> mBuffers;
+    std::vector<std::size_t> mThreads; // of the buffers, where they have some
+    std::uint64_t mBufferBytes = 0, mHalvings = 0;
     std::size_t mBegun = 0;
     DeviceWork mWork;
-    std::deque<std::unique_ptr<Flight>> mFlights; // oldest first
+    std::deque<std::unique_ptr<BlockInFlight>> mInFlight; // oldest first
 };
 
 // What a device has turned out to do in a second; `before` where it has done nothing yet. Latency is in its times.

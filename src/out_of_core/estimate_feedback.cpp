@@ -1,33 +1,32 @@
-// See lesson.h.
 #include "out_of_core/estimate_feedback.h"
 
 #include <algorithm>
 
 namespace vdb_nns {
 
-Lesson lessonOf(const SparseGridData& grid, const MemoryModel& model, const RunBlock& block,
-                std::uint64_t pairs, const ResultHead& head)
+EstimateFeedback feedbackOf(const SparseGridData& grid, const MemoryModel& model, const PendingBlock& block,
+                            std::uint64_t pairs, const ResultHead& head)
 {
-    Lesson lesson;
-    lesson.undecidedBytes = static_cast<double>(head.undecided * sizeof(UndecidedPair));
-    lesson.undecidedRoom = static_cast<double>(undecidedRoom(block.queries()));
-    lesson.bytesDown = static_cast<double>(block.item.bytes.down);
+    EstimateFeedback feedback;
+    feedback.undecidedBytes = static_cast<double>(head.undecided * sizeof(UndecidedPair));
+    feedback.undecidedRoom = static_cast<double>(undecidedRoom(block.queries()));
+    feedback.bytesDown = static_cast<double>(block.item.bytes.down);
     if (model.encoding == Encoding::kIndex && block.expectedPairs > 0) {
-        lesson.actualPairs = static_cast<double>(pairs);
-        lesson.expectedPairs = block.expectedPairs * static_cast<double>(wantedQueries(grid, block.part)) /
-                               static_cast<double>(block.queries());
+        feedback.actualPairs = static_cast<double>(pairs);
+        feedback.expectedPairs = block.expectedPairs * static_cast<double>(wantedQueries(grid, block.part)) /
+                                 static_cast<double>(block.queries());
     }
-    return lesson;
+    return feedback;
 }
 
-Lesson operator+(const Lesson& a, const Lesson& b)
+EstimateFeedback operator+(const EstimateFeedback& a, const EstimateFeedback& b)
 {
     return {a.actualPairs + b.actualPairs, a.expectedPairs + b.expectedPairs,
             a.undecidedBytes + b.undecidedBytes, a.undecidedRoom + b.undecidedRoom,
             a.bytesDown + b.bytesDown};
 }
 
-Dispatcher::Correction correctionOf(const Lesson& sum, const MemoryModel& model)
+Dispatcher::Correction correctionOf(const EstimateFeedback& sum, const MemoryModel& model)
 {
     constexpr double kMost = 1e6, kMargin = 1.05;
     Dispatcher::Correction correction;

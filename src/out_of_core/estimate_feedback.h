@@ -12,19 +12,19 @@
 namespace vdb_nns {
 
 // Of some blocks.
-struct Lesson {
+struct EstimateFeedback {
     double actualPairs = 0, expectedPairs = 0;    // index rows only: others are not estimated
     double undecidedBytes = 0, undecidedRoom = 0; // that they took, and that they were given
     double bytesDown = 0;                         // as planned
 };
 
 // Of a block with so many pairs.
-Lesson lessonOf(const SparseGridData& grid, const MemoryModel& model, const RunBlock& block,
-                std::uint64_t pairs, const ResultHead& head);
+EstimateFeedback feedbackOf(const SparseGridData& grid, const MemoryModel& model, const PendingBlock& block,
+                            std::uint64_t pairs, const ResultHead& head);
 
-Lesson operator+(const Lesson& a, const Lesson& b);
+EstimateFeedback operator+(const EstimateFeedback& a, const EstimateFeedback& b);
 
 // What the blocks that are left are to be taken to need.
-Dispatcher::Correction correctionOf(const Lesson& sum, const MemoryModel& model);
+Dispatcher::Correction correctionOf(const EstimateFeedback& sum, const MemoryModel& model);
 
 } // namespace vdb_nns

@@ -36,7 +36,7 @@ public:
             dropJobs();
             mChanged.notify_all();
         }
-        for (Sleeper& sleeper : mSleepers) sleeper.thread.join();
+        for (DeviceThread& worker : mDeviceThreads) worker.handle.join();
         mGroup.wait();
     }
 
@@ -48,7 +48,7 @@ public:
             if (mError || mEnding) return;
             mJobs.push_back(std::move(job));
             ++mOpen;
-            if (isSleeper()) {
+            if (isDeviceThread()) {
                 ++mUnspawned;
                 mChanged.notify_all();
                 return;
@@ -61,21 +61,21 @@ public:
     std::size_t addThread()
     {
         const std::lock_guard<std::mutex> lock(mMutex);
-        Sleeper& sleeper = mSleepers.emplace_back();
+        DeviceThread& worker = mDeviceThreads.emplace_back();
         try {
-            sleeper.thread = std::thread([this, &sleeper] { serve(sleeper); });
+            worker.handle = std::thread([this, &worker] { serve(worker); });
         } catch (...) {
-            mSleepers.pop_back(); // nothing to join
+            mDeviceThreads.pop_back(); // nothing to join
             throw;
         }
-        return mSleepers.size() - 1;
+        return mDeviceThreads.size() - 1;
     }
 
     void addTo(std::size_t thread, std::function<void()> job)
     {
         const std::lock_guard<std::mutex> lock(mMutex);
         if (mError || mEnding) return;
-        mSleepers[thread].jobs.push_back(std::move(job));
+        mDeviceThreads[thread].jobs.push_back(std::move(job));
         ++mOpen;
         mChanged.notify_all();
     }
@@ -109,21 +109,21 @@ public:
     }
 
 private:
-    struct Sleeper {
-        std::thread thread;
+    struct DeviceThread {
+        std::thread handle;
         std::deque<std::function<void()>> jobs;
     };
 
-    void serve(Sleeper& sleeper)
+    void serve(DeviceThread& worker)
     {
         for (;;) {
             std::function<void()> job;
             {
                 std::unique_lock<std::mutex> lock(mMutex);
-                while (!mEnding && sleeper.jobs.empty()) mChanged.wait(lock);
-                if (sleeper.jobs.empty()) return;
-                job = std::move(sleeper.jobs.front());
-                sleeper.jobs.pop_front();
+                while (!mEnding && worker.jobs.empty()) mChanged.wait(lock);
+                if (worker.jobs.empty()) return;
+                job = std::move(worker.jobs.front());
+                worker.jobs.pop_front();
             }
             run(job);
         }
@@ -139,10 +139,10 @@ private:
     }
 
     // The caller is not of the arena. Under the lock.
-    bool isSleeper() const
+    bool isDeviceThread() const
     {
-        return std::any_of(mSleepers.begin(), mSleepers.end(), [](const Sleeper& sleeper) {
-            return sleeper.thread.get_id() == std::this_thread::get_id();
+        return std::any_of(mDeviceThreads.begin(), mDeviceThreads.end(), [](const DeviceThread& worker) {
+            return worker.handle.get_id() == std::this_thread::get_id();
         });
     }
 
@@ -150,7 +150,7 @@ private:
     void dropJobs()
     {
         mJobs.clear();
-        for (Sleeper& sleeper : mSleepers) sleeper.jobs.clear();
+        for (DeviceThread& worker : mDeviceThreads) worker.jobs.clear();
     }
 
     bool take(std::function<void()>& job)
@@ -180,7 +180,7 @@ private:
     std::mutex mMutex;
     std::condition_variable mChanged;
     std::deque<std::function<void()>> mJobs; // not begun
-    std::deque<Sleeper> mSleepers;           // stay where they are
+    std::deque<DeviceThread> mDeviceThreads; // stay where they are
     bool mEnding = false;
     std::size_t mOpen = 0;      // not ended
     std::size_t mUnspawned = 0; // jobs that no task of the arena was made for

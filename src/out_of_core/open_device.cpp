@@ -1,4 +1,3 @@
-// See open_device.h.
 #include "out_of_core/open_device.h"
 
 #include "cuda/launch.h"
@@ -21,7 +20,7 @@ std::unique_ptr<BlockDevice> openDevice(const DeviceLimits& limits, const Search
         return std::make_unique<SimulatedDevice>(limits.name, limits.memoryBytes, run, states);
     case DeviceKind::kCuda:
         return cuda::openBlockDevice(
-            {limits.ordinal, limits.name, limits.memoryBytes, limits.slots, limits.mapped});
+            {limits.ordinal, limits.name, limits.memoryBytes, limits.buffers, limits.mapped});
     case DeviceKind::kCpu:
         break;
     }
@@ -37,10 +36,11 @@ std::string whyNot(const cuda::Device& found, DeviceLimits& limits)
 {
     // A guess: 128 lanes at 1.5 GHz, ten operations a test, and a fifth of that.
     constexpr double kTestsOfMultiprocessor = 4e9;
-    // A slot is a stream of the device and a thread of the host, which stages and collects its blocks. Three keep the device
+    // A buffer is a stream of the device and a thread of the host, which stages and collects its blocks. Three keep the device
     // busy; on a fast link it is the host's copies that bind, so more where there are cores for them.
-    constexpr unsigned kFewestSlots = 3, kMostSlots = 8;
-    const unsigned slots = std::clamp(std::thread::hardware_concurrency() / 2, kFewestSlots, kMostSlots);
+    constexpr unsigned kFewestBuffers = 3, kMostBuffers = 8;
+    const unsigned buffers =
+        std::clamp(std::thread::hardware_concurrency() / 2, kFewestBuffers, kMostBuffers);
     const std::string name = "CUDA device " + std::to_string(found.ordinal) + " (" + found.name + ")";
     if (10 * found.computeMajor + found.computeMinor < kLeastCompute) {
         return name + " has compute capability " + std::to_string(found.computeMajor) + "." +
@@ -49,7 +49,7 @@ std::string whyNot(const cuda::Device& found, DeviceLimits& limits)
     limits.kind = DeviceKind::kCuda;
     limits.name = found.name;
     limits.ordinal = found.ordinal;
-    limits.slots = static_cast<int>(slots);
+    limits.buffers = static_cast<int>(buffers);
     limits.rates.testsPerSecond = kTestsOfMultiprocessor * found.multiprocessors;
     try {
         limits.memoryBytes = cuda::freeBytes(found.ordinal);

@@ -10,9 +10,9 @@
 
 namespace vdb_nns {
 
-class RunTally {
+class RunProgress {
 public:
-    RunTally(const CancelCheck& cancel, std::uint64_t particles, std::size_t blocks)
+    RunProgress(const CancelCheck& cancel, std::uint64_t particles, std::size_t blocks)
         : mCancel(cancel), mParticles(particles), mPairs(blocks)
     {
     }

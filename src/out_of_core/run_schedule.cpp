@@ -1,4 +1,4 @@
-// See run_schedule.h. One thread decides, by the clocks of plan/dispatcher.h, who takes which block; the work itself is
+// One thread decides, by the clocks of plan/dispatcher.h, who takes which block; the work itself is
 // jobs of device_executor.h and cpu_blocks.h. The next decision about a device waits for its oldest block: so with simulated
 // devices alone decisions do not depend on how fast this machine is. What other devices, and the CPU beside them, turn out to
 // do in a second replaces their rates.
@@ -41,25 +41,25 @@ std::uint64_t budgetOf(const Schedule& schedule, const DeviceLimits& device)
     return schedule.inCore && schedule.blocks.size() == 1 ? device.memoryBytes : blockBudget(device);
 }
 
-// Each slot as large as the largest block of the schedule that may go to the device.
-SlotNeed slotNeedOf(const Schedule& schedule, const DeviceLimits& device)
+// Each buffer as large as the largest block of the schedule that may go to the device.
+BufferNeed slotNeedOf(const Schedule& schedule, const DeviceLimits& device)
 {
-    SlotNeed need;
+    BufferNeed need;
     for (const Block& block : schedule.blocks) {
         if (block.bytes.total() > budgetOf(schedule, device)) continue;
         need.bytes = std::max(need.bytes, block.bytes.total());
-        need.slots = std::min(need.slots + 1, static_cast<std::size_t>(device.slots));
+        need.buffers = std::min(need.buffers + 1, static_cast<std::size_t>(device.buffers));
     }
     return need;
 }
 
-// Host memory of the devices' slots: what is staged, and what a simulated device is made of.
+// Host memory of the devices' buffers: what is staged, and what a simulated device is made of.
 std::uint64_t hostBytesOf(const Schedule& schedule, const std::vector<DeviceLimits>& devices)
 {
     std::uint64_t bytes = 0;
     for (const DeviceLimits& device : devices) {
-        const SlotNeed need = slotNeedOf(schedule, device);
-        bytes += need.slots * need.bytes * (device.kind == DeviceKind::kSim ? 2 : 1);
+        const BufferNeed need = slotNeedOf(schedule, device);
+        bytes += need.buffers * need.bytes * (device.kind == DeviceKind::kSim ? 2 : 1);
     }
     return bytes;
 }
@@ -70,7 +70,8 @@ std::unique_ptr<BlockDevice> takeOpened(std::vector<OpenedDevice>& devices, cons
     for (OpenedDevice& opened : devices) {
         const DeviceLimits& own = opened.limits;
         if (!opened.device || own.kind != wanted.kind || own.ordinal != wanted.ordinal ||
-            own.memoryBytes != wanted.memoryBytes || own.slots != wanted.slots || own.mapped != wanted.mapped)
+            own.memoryBytes != wanted.memoryBytes || own.buffers != wanted.buffers ||
+            own.mapped != wanted.mapped)
             continue;
         return std::move(opened.device);
     }
@@ -87,8 +88,8 @@ public:
           mOptions(options),
           mReport(report),
           mCollector(run.grid, run.exact, run.cancel, schedule.model.encoding, lists, pool),
-          mTally(run.cancel, run.grid.particleCount(), schedule.blocks.size()),
-          mCpu(run, {engine, lists, pool, mTally}, mJobs)
+          mProgress(run.cancel, run.grid.particleCount(), schedule.blocks.size()),
+          mCpu(run, {engine, lists, pool, mProgress}, mJobs)
     {
     }
 
@@ -96,19 +97,19 @@ public:
 
 private:
     void openDevices(const std::vector<DeviceLimits>& devices, const DeviceMaker& makeDevice);
-    void openSlots(DeviceExecutor& device, const SlotNeed& need, DeviceRun& report);
+    void openBuffers(DeviceExecutor& device, const BufferNeed& need, DeviceRun& report);
     void setItems(const std::vector<DeviceLimits>& devices);
     void handOut();
     void take(const Dispatcher::Turn& turn);
     void settleFull();
     bool settleAny();
     void settleOldest(std::size_t device);
-    void settleFailed(std::size_t device, Flight& flight);
-    void measure(std::size_t device, const Flight& flight);
-    void startOnCpu(const RunBlock& block);
-    void split(const RunBlock& whole, const KnownCounts& counts);
-    void again(RunBlock block);
-    void giveUp(const RunBlock& block);
+    void settleFailed(std::size_t device, BlockInFlight& inFlight);
+    void measure(std::size_t device, const BlockInFlight& inFlight);
+    void startOnCpu(const PendingBlock& block);
+    void split(const PendingBlock& whole, const KnownCounts& counts);
+    void again(PendingBlock block);
+    void giveUp(const PendingBlock& block);
     void writeReport();
     void keepDevices(const std::vector<DeviceLimits>& devices);
 
@@ -118,13 +119,13 @@ private:
     const RunOptions& mOptions;
     ScheduleRun& mReport;
     Collector mCollector;
-    RunTally mTally;
+    RunProgress mProgress;
     CpuBlocks mCpu;
     std::deque<DeviceExecutor> mDevices; // stay where they are
-    std::vector<DeviceLimits> mLimits;   // with the slots that there are
-    std::vector<RunBlock> mBlocks;       // by Item::block; parts of split blocks are added
+    std::vector<DeviceLimits> mLimits;   // with the buffers that there are
+    std::vector<PendingBlock> mBlocks;   // by Item::block; parts of split blocks are added
     std::optional<Dispatcher> mDispatcher;
-    Lesson mLesson;
+    EstimateFeedback mFeedback;
     const double mStart = wallSeconds();
     double mReady = mStart; // when devices were open: the dispatcher's clocks begin
     JobQueue mJobs;         // last: its jobs use all of the above, and its destructor waits for them
@@ -134,7 +135,7 @@ void ScheduleRunner::execute(const std::vector<DeviceLimits>& devices, const Dev
 {
     mReport = {};
     mReport.devices.resize(devices.size());
-    mBlocks = runBlocksOf(mRun.grid, mSchedule);
+    mBlocks = pendingBlocksOf(mRun.grid, mSchedule);
     if (mSchedule.devices.size() != devices.size()) {
         throw InvalidInput("a schedule for " + std::to_string(mSchedule.devices.size()) +
                            " devices cannot be run on " + std::to_string(devices.size()));
@@ -170,26 +171,27 @@ void ScheduleRunner::openDevices(const std::vector<DeviceLimits>& devices, const
             if (mOptions.onFailure == DeviceFailure::kStop) throw;
             report.failure = error.what();
         }
-        DeviceExecutor& device = mDevices.emplace_back(
-            std::move(known), FlightCrew{mEngine, mRun, mSchedule.model, mCollector, mCpu, mTally, mJobs});
-        openSlots(device, slotNeedOf(mSchedule, limits), report);
-        budgets.push_back(device.slotBytes());
+        DeviceExecutor& device =
+            mDevices.emplace_back(std::move(known), DeviceContext{mEngine, mRun, mSchedule.model, mCollector,
+                                                                  mCpu, mProgress, mJobs});
+        openBuffers(device, slotNeedOf(mSchedule, limits), report);
+        budgets.push_back(device.bufferBytes());
         mLimits.push_back(limits);
-        mLimits.back().slots = std::max(1, static_cast<int>(device.slotCount()));
+        mLimits.back().buffers = std::max(1, static_cast<int>(device.bufferCount()));
     }
     ScheduleOptions options = mOptions.schedule;
     options.useCpu = options.useCpu && !mSchedule.inCore;
     mDispatcher.emplace(mLimits, budgets, options);
     for (std::size_t d = 0; d < mDevices.size(); ++d) {
-        if (mDevices[d].slotCount() == 0) mDispatcher->retire(static_cast<int>(d));
+        if (mDevices[d].bufferCount() == 0) mDispatcher->retire(static_cast<int>(d));
     }
 }
 
 // A device that has too little memory is done without, whatever is to happen when one fails.
-void ScheduleRunner::openSlots(DeviceExecutor& device, const SlotNeed& need, DeviceRun& report)
+void ScheduleRunner::openBuffers(DeviceExecutor& device, const BufferNeed& need, DeviceRun& report)
 {
     try {
-        device.openSlots(need);
+        device.openBuffers(need);
     } catch (const OutOfDeviceMemory& error) {
         report.failure = error.what();
     } catch (const DeviceError& error) {
@@ -202,7 +204,7 @@ void ScheduleRunner::openSlots(DeviceExecutor& device, const SlotNeed& need, Dev
 void ScheduleRunner::setItems(const std::vector<DeviceLimits>& devices)
 {
     std::vector<Dispatcher::Item> items;
-    for (const RunBlock& block : mBlocks) {
+    for (const PendingBlock& block : mBlocks) {
         const bool fits = std::any_of(devices.begin(), devices.end(), [&](const DeviceLimits& device) {
             return block.item.bytes.total() <= budgetOf(mSchedule, device);
         });
@@ -232,7 +234,7 @@ void ScheduleRunner::handOut()
 
 void ScheduleRunner::take(const Dispatcher::Turn& turn)
 {
-    RunBlock block = mBlocks[turn.block];
+    PendingBlock block = mBlocks[turn.block];
     if (turn.executor == Block::kOnCpu) {
         startOnCpu(block);
     } else if (turn.executor == Dispatcher::kTooLarge) {
@@ -247,13 +249,13 @@ void ScheduleRunner::take(const Dispatcher::Turn& turn)
     }
 }
 
-void ScheduleRunner::startOnCpu(const RunBlock& block)
+void ScheduleRunner::startOnCpu(const PendingBlock& block)
 {
     ++mReport.cpuBlocks;
     mCpu.start(block);
 }
 
-void ScheduleRunner::again(RunBlock block)
+void ScheduleRunner::again(PendingBlock block)
 {
     block.item.block = mBlocks.size();
     mDispatcher->addFirst(block.item);
@@ -261,14 +263,14 @@ void ScheduleRunner::again(RunBlock block)
 }
 
 // TBB workers run what fits no device.
-void ScheduleRunner::giveUp(const RunBlock& block)
+void ScheduleRunner::giveUp(const PendingBlock& block)
 {
     mReport.tooLargeQueries += wantedQueries(mRun.grid, block.part);
     mDispatcher->addCpuTests(block.item.tests);
     startOnCpu(block);
 }
 
-void ScheduleRunner::split(const RunBlock& whole, const KnownCounts& counts)
+void ScheduleRunner::split(const PendingBlock& whole, const KnownCounts& counts)
 {
     BlockSplit made = splitBlock(mRun.grid, mSchedule.model, whole, counts, mDispatcher->mostBytes());
     if (counts.count) {
@@ -276,8 +278,8 @@ void ScheduleRunner::split(const RunBlock& whole, const KnownCounts& counts)
     } else if (whole.queries() > Block::kFewestQueries) {
         ++mReport.splits;
     }
-    for (const RunBlock& block : made.tooLarge) giveUp(block);
-    for (RunBlock& part : made.parts) again(std::move(part));
+    for (const PendingBlock& block : made.tooLarge) giveUp(block);
+    for (PendingBlock& part : made.parts) again(std::move(part));
 }
 
 // ---- when a block has come back ------------------------------------------------------------------------------------
@@ -287,7 +289,7 @@ void ScheduleRunner::split(const RunBlock& whole, const KnownCounts& counts)
 void ScheduleRunner::settleFull()
 {
     const auto isFull = [&](std::size_t d) {
-        return mDevices[d].isFlying() && mDispatcher->full(static_cast<int>(d));
+        return mDevices[d].hasInFlight() && mDispatcher->full(static_cast<int>(d));
     };
     const auto anyHasEnded = [&] {
         return std::any_of(mDevices.begin(), mDevices.end(),
@@ -313,7 +315,7 @@ void ScheduleRunner::settleFull()
 bool ScheduleRunner::settleAny()
 {
     for (std::size_t d = 0; d < mDevices.size(); ++d) {
-        if (!mDevices[d].isFlying()) continue;
+        if (!mDevices[d].hasInFlight()) continue;
         settleOldest(d);
         return true;
     }
@@ -322,51 +324,52 @@ bool ScheduleRunner::settleAny()
 
 void ScheduleRunner::settleOldest(std::size_t device)
 {
-    const std::unique_ptr<Flight> flight = mDevices[device].awaitOldest();
-    mDispatcher->finish(static_cast<int>(device), flight->flown.bytesDown);
-    RunBlock& block = flight->block;
+    const std::unique_ptr<BlockInFlight> inFlight = mDevices[device].awaitOldest();
+    mDispatcher->finish(static_cast<int>(device), inFlight->transferred.bytesDown);
+    PendingBlock& block = inFlight->block;
     block.leaveOutside();
-    if (!flight->failure.empty()) return settleFailed(device, *flight);
-    mLesson = mLesson + lessonOf(mRun.grid, mSchedule.model, block, flight->pairs(), flight->flown.head);
-    mDispatcher->correct(correctionOf(mLesson, mSchedule.model));
-    if (!mDevices[device].isSimulated()) measure(device, *flight);
-    if (flight->flown.overflowed) {
+    if (!inFlight->failure.empty()) return settleFailed(device, *inFlight);
+    mFeedback = mFeedback +
+                feedbackOf(mRun.grid, mSchedule.model, block, inFlight->pairs(), inFlight->transferred.head);
+    mDispatcher->correct(correctionOf(mFeedback, mSchedule.model));
+    if (!mDevices[device].isSimulated()) measure(device, *inFlight);
+    if (inFlight->transferred.overflowed) {
         ++mReport.overflows;
         // Without room for rows they may not have been listed at all.
-        if (flight->flown.head.undecided > 0) {
-            block.undecidedPerQuery =
-                static_cast<double>(flight->flown.head.undecided) / static_cast<double>(block.queries());
+        if (inFlight->transferred.head.undecided > 0) {
+            block.undecidedPerQuery = static_cast<double>(inFlight->transferred.head.undecided) /
+                                      static_cast<double>(block.queries());
         }
-        split(block, {flight->counts.data(), block.part.firstSlot});
+        split(block, {inFlight->counts.data(), block.part.firstSlot});
         return;
     }
     DeviceRun& report = mReport.devices[device];
     report.blocks += 1;
-    report.particles += flight->collected.queries;
-    mReport.collectSeconds += flight->collectSeconds;
-    mTally.addDeviceQueries(flight->collected.queries);
-    mTally.show();
+    report.particles += inFlight->collected.queries;
+    mReport.collectSeconds += inFlight->collectSeconds;
+    mProgress.addDeviceQueries(inFlight->collected.queries);
+    mProgress.show();
 }
 
-void ScheduleRunner::settleFailed(std::size_t device, Flight& flight)
+void ScheduleRunner::settleFailed(std::size_t device, BlockInFlight& inFlight)
 {
-    const std::string why = mLimits[device].name + ", block " + std::to_string(flight.block.block) + " of " +
-                            std::to_string(mSchedule.blocks.size()) + ": " + flight.failure;
+    const std::string why = mLimits[device].name + ", block " + std::to_string(inFlight.block.block) +
+                            " of " + std::to_string(mSchedule.blocks.size()) + ": " + inFlight.failure;
     if (mOptions.onFailure == DeviceFailure::kStop) throw DeviceError(why);
     std::string& failure = mReport.devices[device].failure;
     if (failure.empty()) failure = why;
     mDispatcher->retire(static_cast<int>(device));
     ++mReport.retries;
-    again(std::move(flight.block));
+    again(std::move(inFlight.block));
 }
 
 // What the device, and the CPU beside it, have done so far replaces the rates that they were taken to have.
-void ScheduleRunner::measure(std::size_t device, const Flight& flight)
+void ScheduleRunner::measure(std::size_t device, const BlockInFlight& inFlight)
 {
     // A worker's rate, as long as too little is done to tell, is what it was taken to be.
     constexpr std::uint64_t kTellingTests = 1'000'000;
     DeviceExecutor& executor = mDevices[device];
-    executor.measure(flight);
+    executor.measure(inFlight);
     const double elapsed = wallSeconds() - mReady;
     mDispatcher->observe(static_cast<int>(device), elapsed, ratesOf(executor.work(), mLimits[device].rates));
     const CpuWork cpu = mCpu.work();
@@ -393,8 +396,8 @@ void ScheduleRunner::writeReport()
         report.bytesUp = work.bytesUp;
         report.bytesDown = work.bytesDown;
     }
-    mReport.cpuParticles = mTally.cpuQueries();
-    mReport.blockPairs = mTally.blockPairs();
+    mReport.cpuParticles = mProgress.cpuQueries();
+    mReport.blockPairs = mProgress.blockPairs();
     mReport.seconds = isVirtual ? mDispatcher->doneSeconds() : wallSeconds() - mStart;
     mReport.cpuBusySeconds =
         isVirtual ? mDispatcher->cpuSeconds() : mCpu.work().seconds / tbb::this_task_arena::max_concurrency();
@@ -405,7 +408,7 @@ void ScheduleRunner::keepDevices(const std::vector<DeviceLimits>& devices)
 {
     for (std::size_t d = 0; d < mDevices.size(); ++d) {
         if (mDevices[d].isSimulated() || !mReport.devices[d].failure.empty()) continue;
-        const std::uint64_t hostBytes = mDevices[d].slotCount() * mDevices[d].slotBytes();
+        const std::uint64_t hostBytes = mDevices[d].bufferCount() * mDevices[d].bufferBytes();
         mEngine.devices.push_back({devices[d], mDevices[d].close(), hostBytes});
     }
 }

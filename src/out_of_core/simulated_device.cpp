@@ -1,4 +1,3 @@
-// See simulated_device.h.
 #include "out_of_core/simulated_device.h"
 
 #include <algorithm>
@@ -11,7 +10,7 @@ namespace vdb_nns {
 namespace {
 
 // The search of one block by one thread: rows one after the other into its result.
-class BlockSearcher final : public RowTaker {
+class BlockSearcher final : public RowConsumer {
 public:
     BlockSearcher(const SearchRun& run, const BlockSearch& block, ThreadState& state)
         : mRun(run),
@@ -31,7 +30,7 @@ public:
 
     void search()
     {
-        mState.judgeBy(mRun.exact, mRun.cancel);
+        mState.decideBy(mRun.exact, mRun.cancel);
         // A block that is redone counts once: its statistics travel with its result.
         const std::uint64_t exactBefore = mState.exactPairs;
         try {
@@ -99,8 +98,9 @@ private:
     void searchLeaf(const SearchTask& task)
     {
         if (mBlock.encoding == Encoding::kIndex) {
-            mState.beginTaking(*this, task);
-            mRun.kernels.visit(mContext, task, mState.judge(), mState.halo, mState.taken, mStatistics);
+            mState.beginConsuming(*this, task);
+            mRun.kernels.visit(mContext, task, mState.exactPredicate(), mState.halo, mState.visited,
+                               mStatistics);
             mState.flushRows();
         } else if (mBlock.encoding == Encoding::kMask && task.cells) {
             forEachWantedCell(mContext.block, task,
@@ -121,7 +121,7 @@ private:
         };
         sink.slotBase = mBlock.image.firstQuery;
         sink.rowCount = mCounts;
-        kernel(mContext, task, mState.judge(), mState.halo, sink, mStatistics);
+        kernel(mContext, task, mState.exactPredicate(), mState.halo, sink, mStatistics);
         mEntries = static_cast<std::uint64_t>(sink.out - mRows);
     }
 

@@ -1,4 +1,4 @@
-// See block_halo.h. A set of cells is 8 words, one for each x; a word has a byte for each y, a byte a bit for each z.
+// A set of cells is 8 words, one for each x; a word has a byte for each y, a byte a bit for each z.
 #include "plan/block_halo.h"
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// Virtual time of one device: uploads, searches and downloads one block each at a time, and holds a few in its slots.
+// Virtual time of one device: uploads, searches and downloads one block each at a time, and holds a few in its buffers.
 // The same clock predicts a schedule and runs the simulated device, whose downloads are known only once a block has run:
 // so a block is begun, and finished later, in the same order. The clock of a real device is set by the one on the wall.
 #pragma once
@@ -14,13 +14,15 @@ namespace vdb_nns {
 
 class DeviceClock {
 public:
-    DeviceClock(const Rates& rates, int slots) : mRates(rates), mSlots(static_cast<std::size_t>(slots)) {}
+    DeviceClock(const Rates& rates, int buffers) : mRates(rates), mBuffers(static_cast<std::size_t>(buffers))
+    {
+    }
 
-    // Every slot holds a block that is not finished.
-    bool full() const { return mBegun - mFinished == mSlots.size(); }
+    // Every buffer holds a block that is not finished.
+    bool full() const { return mBegun - mFinished == mBuffers.size(); }
 
     // When the next block can begin its upload. Not for a full device.
-    double ready() const { return std::max(mUploadFree, mSlots[mBegun % mSlots.size()].free); }
+    double ready() const { return std::max(mUploadFree, mBuffers[mBegun % mBuffers.size()].free); }
 
     // Uploads and searches a block. Returns when its upload begins.
     double begin(std::uint64_t tests, std::uint64_t bytesUp)
@@ -30,19 +32,19 @@ public:
         const double search = mRates.latencySeconds + static_cast<double>(tests) / mRates.testsPerSecond;
         mSearchFree = std::max(mSearchFree, mUploadFree) + search;
         mSearchSeconds += search;
-        Slot& slot = mSlots[mBegun++ % mSlots.size()];
-        slot.searched = mSearchFree;
-        slot.tests = tests;
+        Buffer& buffer = mBuffers[mBegun++ % mBuffers.size()];
+        buffer.searched = mSearchFree;
+        buffer.tests = tests;
         return start;
     }
 
-    // Downloads the oldest block that is not finished. Returns when that is done, and its slot free.
+    // Downloads the oldest block that is not finished. Returns when that is done, and its buffer free.
     double finish(std::uint64_t bytesDown)
     {
-        Slot& slot = mSlots[mFinished++ % mSlots.size()];
-        mDownloadFree = std::max(mDownloadFree, slot.searched) +
+        Buffer& buffer = mBuffers[mFinished++ % mBuffers.size()];
+        mDownloadFree = std::max(mDownloadFree, buffer.searched) +
                         static_cast<double>(bytesDown) / mRates.downloadBytesPerSecond;
-        return slot.free = mDownloadFree;
+        return buffer.free = mDownloadFree;
     }
 
     // At this time, on the wall, a block has come back. What is in flight will be done as the rates say.
@@ -51,10 +53,10 @@ public:
         mRates = rates;
         double flying = 0;
         for (std::size_t i = mFinished; i < mBegun; ++i) {
-            flying += static_cast<double>(mSlots[i % mSlots.size()].tests) / rates.testsPerSecond;
+            flying += static_cast<double>(mBuffers[i % mBuffers.size()].tests) / rates.testsPerSecond;
         }
         mUploadFree = mSearchFree = mDownloadFree = seconds + flying;
-        for (Slot& slot : mSlots) slot.free = std::min(slot.free, mUploadFree);
+        for (Buffer& buffer : mBuffers) buffer.free = std::min(buffer.free, mUploadFree);
     }
 
     // When all finished blocks are done.
@@ -62,13 +64,13 @@ public:
     double searchSeconds() const { return mSearchSeconds; }
 
 private:
-    struct Slot {
+    struct Buffer {
         double free = 0, searched = 0;
         std::uint64_t tests = 0;
     };
 
     Rates mRates;
-    std::vector<Slot> mSlots; // in turn: blocks leave in the order in which they came
+    std::vector<Buffer> mBuffers; // in turn: blocks leave in the order in which they came
     std::size_t mBegun = 0, mFinished = 0;
     double mUploadFree = 0, mSearchFree = 0, mDownloadFree = 0, mSearchSeconds = 0;
 };

@@ -1,4 +1,3 @@
-// See dispatcher.h.
 #include "plan/dispatcher.h"
 
 #include <algorithm>
@@ -19,7 +18,7 @@ Dispatcher::Dispatcher(const std::vector<DeviceLimits>& devices, std::vector<std
                        const ScheduleOptions& options)
     : mDevices(devices), mBudgets(std::move(budgets)), mOptions(options), mRetired(devices.size(), false)
 {
-    for (const DeviceLimits& device : devices) mClocks.emplace_back(device.rates, device.slots);
+    for (const DeviceLimits& device : devices) mClocks.emplace_back(device.rates, device.buffers);
 }
 
 void Dispatcher::setItems(std::vector<Item> items)

@@ -1,4 +1,3 @@
-// See probe.h.
 #include "plan/occupancy_sample.h"
 
 #include "lists/cell_candidates.h"

@@ -1,4 +1,4 @@
-// See overlap_table.h. The quadrature works on the octant u, v, w >= 0, where the tent of offset 0 counts
+// The quadrature works on the octant u, v, w >= 0, where the tent of offset 0 counts
 // twice for its two halves:
 //
 //   share(a, b, c) = integral over u in [0, rho] of f_a(u) * integral over the quarter disc of radius

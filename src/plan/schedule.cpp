@@ -1,4 +1,4 @@
-// See schedule.h. Three steps, each a function: cut the tree into blocks; hand them out in predicted time; with
+// Three steps, each a function: cut the tree into blocks; hand them out in predicted time; with
 // BoundaryMode::kAuto do both for either mode and take what ends first.
 #include "vdb_nns/planning/schedule.h"
 
@@ -25,9 +25,9 @@ void check(const std::vector<DeviceLimits>& devices, const ScheduleOptions& opti
         requireKnown(device.kind, DeviceKind::kSim, "kind of device");
         const std::string name = "device '" + device.name + "' ";
         if (device.memoryBytes == 0) throw InvalidInput(name + "has no memory: allow it some");
-        if (device.slots < 1) {
-            throw InvalidInput(name + "has " + std::to_string(device.slots) +
-                               " slots: it needs one at least");
+        if (device.buffers < 1) {
+            throw InvalidInput(name + "has " + std::to_string(device.buffers) +
+                               " buffers: it needs one at least");
         }
         const Rates& rates = device.rates;
         if (!isSpeed(rates.testsPerSecond) || !isSpeed(rates.uploadBytesPerSecond) ||
@@ -201,7 +201,7 @@ void handOut(const std::vector<DeviceLimits>& devices, const std::vector<std::ui
         schedule.boundaryLeaves += block.withHalo ? 0 : block.halo.boundaryLeaves;
         device.blocks += 1;
         device.particles += block.work.particles - boundary;
-        // A slot is as large as the largest block, so that any of them may hold any block.
+        // A buffer is as large as the largest block, so that any of them may hold any block.
         device.peakBytes = std::max(device.peakBytes, block.bytes.total());
     }
     schedule.cpuBusySeconds = dispatcher.cpuSeconds();
@@ -209,11 +209,11 @@ void handOut(const std::vector<DeviceLimits>& devices, const std::vector<std::ui
     for (std::size_t d = 0; d < devices.size(); ++d) {
         DevicePlan& device = schedule.devices[d];
         device.busySeconds = dispatcher.deviceSeconds(static_cast<int>(d));
-        device.peakBytes *= std::min(device.blocks, static_cast<std::uint64_t>(devices[d].slots));
+        device.peakBytes *= std::min(device.blocks, static_cast<std::uint64_t>(devices[d].buffers));
     }
 }
 
-// Cut into blocks for the slots of the devices.
+// Cut into blocks for the buffers of the devices.
 Schedule scheduleWith(const SparseGridData& grid, const WorkloadTree& tree,
                       const std::vector<DeviceLimits>& devices, const ScheduleOptions& options,
                       BoundaryMode boundary, bool inCore)
@@ -253,7 +253,7 @@ Schedule scheduleAtOnce(const SparseGridData& grid, const WorkloadTree& tree,
     ScheduleOptions alone = options;
     alone.useCpu = devices.empty();
     handOut(devices, budgets, alone, one);
-    // A tree that is not divided so far has no nodes for the slots.
+    // A tree that is not divided so far has no nodes for the buffers.
     const bool mayBeCut = !devices.empty() && tree.options.nodeBytes <= blockBudget(devices[0]);
     if (options.oneBlock || !mayBeCut) return one;
     Schedule cut = scheduleWith(grid, tree, devices, alone, one.boundary, true);
@@ -291,7 +291,7 @@ std::uint64_t nodeBytesFor(const SparseGrid& grid, const WorkEstimate& estimate,
 {
     // With fewer blocks than that for each executor they do not end together; with blocks whose search takes less than 20
     // latencies, those cost more than that loses. Where everything fits, makeSchedule() weighs that against one block.
-    constexpr double kBlocksEach = 48, kLatencies = 20, kBlocksOfSlot = 4;
+    constexpr double kBlocksEach = 48, kLatencies = 20, kBlocksOfBuffer = 4;
     if (devices.empty()) return std::numeric_limits<std::uint64_t>::max();
     WorkloadNode root;
     root.endLeaf = static_cast<std::uint32_t>(grid.leafCount());
@@ -309,7 +309,7 @@ std::uint64_t nodeBytesFor(const SparseGrid& grid, const WorkEstimate& estimate,
         if (tests > 0) blocks = std::min(blocks, static_cast<double>(estimate.total.candidateTests) / tests);
     }
     if (isInCore) {
-        blocks = std::max(blocks, kBlocksOfSlot * devices[0].slots);
+        blocks = std::max(blocks, kBlocksOfBuffer * devices[0].buffers);
         if (blocks * devices[0].rates.latencySeconds >= mostOverlap(root.work, bytes, devices[0].rates)) {
             return devices[0].memoryBytes;
         }
@@ -320,7 +320,7 @@ std::uint64_t nodeBytesFor(const SparseGrid& grid, const WorkEstimate& estimate,
 
 std::uint64_t blockBudget(const DeviceLimits& device)
 {
-    return device.memoryBytes / static_cast<std::uint64_t>(std::max(device.slots, 1));
+    return device.memoryBytes / static_cast<std::uint64_t>(std::max(device.buffers, 1));
 }
 
 Schedule makeSchedule(const SparseGrid& grid, const WorkloadTree& tree,

@@ -1,4 +1,3 @@
-// See work_estimate.h.
 //
 // One pass over the cells: each takes a weighted sum of the particles of the cells in its reach. That expectation is wrong
 // where particles are not uniform in their cell: by a constant share in a regular fluid, by anything where they crowd. So a

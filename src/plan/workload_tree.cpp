@@ -1,4 +1,4 @@
-// See workload_tree.h. Leaves in Morton order make every octant of every node a contiguous range of leaves, so that a node is
+// Leaves in Morton order make every octant of every node a contiguous range of leaves, so that a node is
 // a range, its work a difference of running sums, and its children are found by halving.
 #include "vdb_nns/planning/workload_tree.h"
 

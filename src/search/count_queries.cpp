@@ -1,4 +1,3 @@
-// See count_queries.h.
 #include "search/count_queries.h"
 
 #include "cpu/kernels.h"
@@ -54,7 +53,7 @@ public:
     {
         mCancel.check();
         ThreadState& state = mStates.local();
-        state.judgeBy(mExact, mCancel);
+        state.decideBy(mExact, mCancel);
         std::uint64_t cells[8];
         markCell(mGrid, range.leaf, range.firstSlot, cells);
         LeafNeighborhood neighborhood;
@@ -64,11 +63,11 @@ public:
         for (std::uint32_t n = 0; n < 27; ++n) {
             if (!(reached >> n & 1)) neighborhood.leaf[n] = kNoLeaf;
         }
-        neighborhood.leaf[13] = range.leaf;
+        neighborhood.leaf[kOwnLeaf] = range.leaf;
         state.sink.slotBase = range.firstSlot;
         state.sink.rowCount = counts;
         mCount(mContext, {range.leaf, range.firstSlot, range.endSlot, neighborhood.leaf, cells},
-               state.judge(), state.halo, state.sink, state.statistics);
+               state.exactPredicate(), state.halo, state.sink, state.statistics);
     }
 
 private:

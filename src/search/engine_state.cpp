@@ -1,4 +1,3 @@
-// See engine_state.h.
 #include "search/engine_state.h"
 
 #include "lists/cell_candidates.h"
@@ -94,8 +93,8 @@ TaskStatistics EngineState::sumStatistics()
 void EngineState::runTask(const SearchRun& run, SearchTaskFunction kernel, ThreadState& state,
                           const SearchTask& task)
 {
-    state.judgeBy(run.exact, run.cancel);
-    kernel(run.context, task, state.judge(), state.halo, state.sink, state.statistics);
+    state.decideBy(run.exact, run.cancel);
+    kernel(run.context, task, state.exactPredicate(), state.halo, state.sink, state.statistics);
 }
 
 // Throws when the lists surely cannot fit. A few queries tell whether there is any doubt; only then all neighbors are
@@ -175,7 +174,7 @@ std::uint64_t EngineState::allowRows(const SearchRun& run, const SearchOptions& 
         for (const OpenedDevice& opened : devices) free += opened.hostBytes;
     }
     if (otherBytes > free) {
-        throw CapacityError("the slots of the devices need " + gigabytes(otherBytes) +
+        throw CapacityError("the buffers of the devices need " + gigabytes(otherBytes) +
                                 " of host memory, allowed are " + gigabytes(free) +
                                 ": allow more host memory or give devices less",
                             otherBytes, free);

@@ -1,4 +1,3 @@
-// See grid_tasks.h.
 #include "search/leaf_tasks.h"
 
 #include <tbb/task_arena.h>

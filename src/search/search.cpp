@@ -76,9 +76,9 @@ NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& 
 namespace {
 
 // Adds the distances of a row.
-class DistanceTaker final : public RowTaker {
+class DistanceConsumer final : public RowConsumer {
 public:
-    DistanceTaker(const SearchRun& run, const NeighborVisitor& visitor, std::vector<double>& distances)
+    DistanceConsumer(const SearchRun& run, const NeighborVisitor& visitor, std::vector<double>& distances)
         : mGrid(run.grid), mCancel(run.cancel), mVisitor(visitor), mDistances(distances)
     {
     }
@@ -104,9 +104,9 @@ private:
     std::vector<double>& mDistances;
 };
 
-class NumberTaker final : public RowTaker {
+class NumberConsumer final : public RowConsumer {
 public:
-    NumberTaker(const SparseGridData& grid, const RowVisitor& visitor) : mGrid(grid), mVisitor(visitor) {}
+    NumberConsumer(const SparseGridData& grid, const RowVisitor& visitor) : mGrid(grid), mVisitor(visitor) {}
 
     void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) override
     {
@@ -118,10 +118,10 @@ private:
     const RowVisitor& mVisitor;
 };
 
-// Runs all tasks; makeTaker(run, state) is what takes the rows of a task.
-template <typename MakeTaker>
+// Runs all tasks; makeConsumer(run, state) is what takes the rows of a task.
+template <typename MakeConsumer>
 void visitTasks(EngineState& engine, const SparseGrid& grid, const SearchOptions& options,
-                MakeTaker&& makeTaker)
+                MakeConsumer&& makeConsumer)
 {
     checkOptions(options);
     isolated([&] {
@@ -130,13 +130,13 @@ void visitTasks(EngineState& engine, const SparseGrid& grid, const SearchOptions
         engine.beginStatistics(options);
         forEachTask(run.grid, run.pieces, engine.states, run.cancel,
                     [&](ThreadState& state, const SearchTask& task) {
-                        auto taker = makeTaker(run, state);
-                        state.beginTaking(taker, task);
-                        state.judgeBy(run.exact, run.cancel);
+                        auto consumer = makeConsumer(run, state);
+                        state.beginConsuming(consumer, task);
+                        state.decideBy(run.exact, run.cancel);
                         // Once a task, for the kernel calls the visitor too.
                         isolated([&] {
-                            run.kernels.visit(run.context, task, state.judge(), state.halo, state.taken,
-                                              state.statistics);
+                            run.kernels.visit(run.context, task, state.exactPredicate(), state.halo,
+                                              state.visited, state.statistics);
                             state.flushRows();
                         });
                     });
@@ -150,14 +150,14 @@ void visitTasks(EngineState& engine, const SparseGrid& grid, const SearchOptions
 void SearchEngine::visit(const SparseGrid& grid, const NeighborVisitor& visitor, const SearchOptions& options)
 {
     visitTasks(*mImpl, grid, options, [&](const SearchRun& run, ThreadState& state) {
-        return DistanceTaker(run, visitor, state.distances);
+        return DistanceConsumer(run, visitor, state.distances);
     });
 }
 
 void SearchEngine::visitRows(const SparseGrid& grid, const RowVisitor& visitor, const SearchOptions& options)
 {
     visitTasks(*mImpl, grid, options,
-               [&](const SearchRun& run, ThreadState&) { return NumberTaker(run.grid, visitor); });
+               [&](const SearchRun& run, ThreadState&) { return NumberConsumer(run.grid, visitor); });
 }
 
 std::uint64_t countCandidateTests(const SparseGrid& grid)

@@ -1,4 +1,3 @@
-// See thread_state.h.
 #include "search/thread_state.h"
 
 #include <algorithm>
@@ -39,8 +38,8 @@ void* ChunkPool::take(std::size_t bytes, std::size_t& takenBytes)
     if (!block.data()) block = PageBlock(bytes);
     takenBytes = block.bytes();
     mTakenBytes += takenBytes;
-    mTaken.push_back(std::move(block));
-    return mTaken.back().data();
+    mVisited.push_back(std::move(block));
+    return mVisited.back().data();
 }
 
 std::uint64_t ChunkPool::freeBytes() const
@@ -50,13 +49,13 @@ std::uint64_t ChunkPool::freeBytes() const
     return bytes;
 }
 
-ThreadState::ThreadState() : halo{}, sink{}, taken{}
+ThreadState::ThreadState() : halo{}, sink{}, visited{}
 {
     halo.owner = this;
     halo.reserve = reserveHalo;
-    sink.owner = taken.owner = this;
+    sink.owner = visited.owner = this;
     sink.grow = growRows;
-    taken.grow = growTaken;
+    visited.grow = growVisited;
     begin();
 }
 
@@ -70,15 +69,15 @@ void ThreadState::begin()
     sink.tailSize = 0;
 }
 
-bool ThreadState::judgePair(void* state, std::uint32_t query, std::uint32_t candidate)
+bool ThreadState::decidePair(void* state, std::uint32_t query, std::uint32_t candidate)
 {
     constexpr std::uint32_t kPairsBetweenChecks = 1u << 14; // some milliseconds
     auto& self = *static_cast<ThreadState*>(state);
-    if (++self.mJudged % kPairsBetweenChecks == 0) self.mCancel->check();
+    if (++self.mDecided % kPairsBetweenChecks == 0) self.mCancel->check();
     return self.mExact->isNeighbor(query, candidate, self.mExactMemory, self.exactPairs);
 }
 
-void ThreadState::judgeBy(const ExactTest& exact, const CancelCheck& cancel)
+void ThreadState::decideBy(const ExactTest& exact, const CancelCheck& cancel)
 {
     mExact = &exact;
     mCancel = &cancel;
@@ -90,9 +89,9 @@ void ThreadState::finishRows()
     sink.tailSize = 0;
 }
 
-BandJudge ThreadState::judge()
+ExactPredicate ThreadState::exactPredicate()
 {
-    return {this, judgePair};
+    return {this, decidePair};
 }
 
 void ThreadState::reserveHalo(HaloScratch& scratch, std::size_t particles)
@@ -119,37 +118,37 @@ void ThreadState::growRows(RowSink& sink, std::size_t entries)
     sink.end = sink.out + bytes / sizeof(std::uint32_t);
 }
 
-void ThreadState::beginTaking(RowTaker& taker, const SearchTask& task)
+void ThreadState::beginConsuming(RowConsumer& consumer, const SearchTask& task)
 {
-    mTaker = &taker;
+    mConsumer = &consumer;
     const std::size_t queries = task.endSlot - task.firstSlot;
-    mTakenBegin.resize(queries);
-    mTakenCount.assign(queries, 0);
-    taken.slotBase = taken.nextSlot = mTaken = task.firstSlot;
-    taken.rowBegin = mTakenBegin.data();
-    taken.rowCount = mTakenCount.data();
+    mVisitedBegin.resize(queries);
+    mVisitedCount.assign(queries, 0);
+    visited.slotBase = visited.nextSlot = mVisited = task.firstSlot;
+    visited.rowBegin = mVisitedBegin.data();
+    visited.rowCount = mVisitedCount.data();
 }
 
-void ThreadState::growTaken(RowSink& sink, std::size_t entries)
+void ThreadState::growVisited(RowSink& sink, std::size_t entries)
 {
     constexpr std::size_t kTakenEntries = 65536; // 256 KB: stays in the second-level cache
     auto& self = *static_cast<ThreadState*>(sink.owner);
     self.flushRows();
-    if (self.mTakenRows.bytes() < entries * sizeof(std::uint32_t)) {
-        self.mTakenRows = PageBlock();
-        self.mTakenRows = PageBlock(std::max(entries, kTakenEntries) * sizeof(std::uint32_t));
+    if (self.mVisitedRows.bytes() < entries * sizeof(std::uint32_t)) {
+        self.mVisitedRows = PageBlock();
+        self.mVisitedRows = PageBlock(std::max(entries, kTakenEntries) * sizeof(std::uint32_t));
     }
-    sink.out = static_cast<std::uint32_t*>(self.mTakenRows.data());
-    sink.end = sink.out + self.mTakenRows.bytes() / sizeof(std::uint32_t);
+    sink.out = static_cast<std::uint32_t*>(self.mVisitedRows.data());
+    sink.end = sink.out + self.mVisitedRows.bytes() / sizeof(std::uint32_t);
 }
 
 void ThreadState::flushRows()
 {
-    for (; mTaken < taken.nextSlot; ++mTaken) {
-        const std::uint32_t row = mTaken - taken.slotBase;
-        mTaker->take(mTaken, mTakenBegin[row], mTakenCount[row]);
+    for (; mVisited < visited.nextSlot; ++mVisited) {
+        const std::uint32_t row = mVisited - visited.slotBase;
+        mConsumer->take(mVisited, mVisitedBegin[row], mVisitedCount[row]);
     }
-    taken.out = static_cast<std::uint32_t*>(mTakenRows.data());
+    visited.out = static_cast<std::uint32_t*>(mVisitedRows.data());
 }
 
 } // namespace vdb_nns

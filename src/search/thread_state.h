@@ -31,19 +31,19 @@ public:
 
     std::uint64_t freeBytes() const;
     std::uint64_t takenBytes() const { return mTakenBytes; }
-    std::vector<PageBlock> release() { return std::move(mTaken); }
+    std::vector<PageBlock> release() { return std::move(mVisited); }
 
 private:
     std::mutex mMutex;
-    std::vector<PageBlock> mFree, mTaken;
+    std::vector<PageBlock> mFree, mVisited;
     std::size_t mChunkBytes = 0;
     std::uint64_t mAllowedBytes = 0, mTakenBytes = 0;
 };
 
 // Takes rows of numbers as they are made, in the order of slots. The numbers are valid during the call.
-class RowTaker {
+class RowConsumer {
 public:
-    virtual ~RowTaker() = default;
+    virtual ~RowConsumer() = default;
     virtual void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) = 0;
 };
 
@@ -56,18 +56,18 @@ struct ThreadState {
     void begin();
     // Puts the entries that streamed rows still hold back where they belong.
     void finishRows();
-    // What judge() asks from now on.
-    void judgeBy(const ExactTest& exact, const CancelCheck& cancel);
-    BandJudge judge();
+    // What exactPredicate() asks from now on.
+    void decideBy(const ExactTest& exact, const CancelCheck& cancel);
+    ExactPredicate exactPredicate();
 
-    // Rows of the coming task, by Kernels::visit, go to `taker` instead of into lists. Queries outside of the task's cells
+    // Rows of the coming task, by Kernels::visit, go to `consumer` instead of into lists. Queries outside of the task's cells
     // have empty rows.
-    void beginTaking(RowTaker& taker, const SearchTask& task);
+    void beginConsuming(RowConsumer& consumer, const SearchTask& task);
     void flushRows();
 
     HaloScratch halo;
-    RowSink sink;  // rows into lists
-    RowSink taken; // rows that are handed to a RowTaker
+    RowSink sink;    // rows into lists
+    RowSink visited; // rows that are handed to a RowConsumer
     TaskStatistics statistics;
     std::uint64_t exactPairs = 0;
     std::uint64_t maskBytes = 0;
@@ -79,18 +79,18 @@ struct ThreadState {
 private:
     static void reserveHalo(HaloScratch& scratch, std::size_t particles);
     static void growRows(RowSink& sink, std::size_t entries);
-    static void growTaken(RowSink& sink, std::size_t entries);
-    static bool judgePair(void* state, std::uint32_t query, std::uint32_t candidate);
+    static void growVisited(RowSink& sink, std::size_t entries);
+    static bool decidePair(void* state, std::uint32_t query, std::uint32_t candidate);
 
     const ExactTest* mExact = nullptr;
     const CancelCheck* mCancel = nullptr;
-    std::uint32_t mJudged = 0; // pairs, for asking whether to stop
+    std::uint32_t mDecided = 0; // pairs, for asking whether to stop
     PageBlock mHaloMemory;
-    PageBlock mTakenRows; // numbers of neighbors
-    std::vector<std::uint32_t*> mTakenBegin;
-    std::vector<std::uint32_t> mTakenCount;
-    RowTaker* mTaker = nullptr;
-    std::uint32_t mTaken = 0; // slots before it were handed out
+    PageBlock mVisitedRows; // numbers of neighbors
+    std::vector<std::uint32_t*> mVisitedBegin;
+    std::vector<std::uint32_t> mVisitedCount;
+    RowConsumer* mConsumer = nullptr;
+    std::uint32_t mVisited = 0; // slots before it were handed out
     ExactTestMemory mExactMemory;
 };
 

@@ -1,4 +1,3 @@
-// See cgroup_memory.h.
 #include "util/cgroup_memory.h"
 
 #include "util/number_file.h"

@@ -1,4 +1,3 @@
-// See memory.h.
 #include "util/memory.h"
 
 #include "util/cgroup_memory.h"

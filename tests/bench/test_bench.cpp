@@ -244,7 +244,7 @@ TEST(BenchMethods, NamesAreParsedAndRefused)
     EXPECT_EQ(parseMethod("blocks32-index").blockLog2Cells, 5);
     EXPECT_EQ(parseMethod("nearest7").number, 7);
     EXPECT_EQ(parseMethod("ours-index@1").threads, 1);
-    EXPECT_EQ(parseMethod("world-float").kind, MethodKind::kPart);
+    EXPECT_EQ(parseMethod("world-float").kind, MethodKind::kAblation);
     for (const char* name :
          {"", "ours", "ours-bits", "nearest", "nearest0", "nearest-3", "nearest3x", "sampled101",
           "ours-index@", "ours-index@0", "ours-index@2000", "ours-index@1x", "OURS-INDEX"}) {

@@ -31,10 +31,10 @@ MethodSpec specOf(const std::string& family, double number = 0)
     return spec;
 }
 
-std::unique_ptr<Method> partMethod(const std::string& family, double number = 0,
-                                   const SearchOptions& options = {}, double voxelSize = 1)
+std::unique_ptr<Method> ablationMethod(const std::string& family, double number = 0,
+                                       const SearchOptions& options = {}, double voxelSize = 1)
 {
-    return cli::makePartMethod(specOf(family, number), options, voxelSize);
+    return cli::makeAblationMethod(specOf(family, number), options, voxelSize);
 }
 
 cli::MethodRun runMethod(Method& method, const ParticleView& view, double radius)
@@ -147,13 +147,13 @@ SetView viewOf(const PointSet& set)
     return SetView(set, hasVoxels ? Form::kVoxels : Form::kDoubles);
 }
 
-TEST(PartMethods, CertifiedIsExactEverywhere)
+TEST(AblationMethods, CertifiedIsExactEverywhere)
 {
     std::vector<std::unique_ptr<Method>> methods; // kept from set to set
     for (const double cellSize : {0.0, 1.0, 0.5, 0.33, 1.7}) {
         SearchOptions options;
         options.cellSize = cellSize;
-        methods.push_back(partMethod("certified", 0, options));
+        methods.push_back(ablationMethod("certified", 0, options));
     }
     for (const PointSet& set : allSets()) {
         const Lists truth = oracleLists(set);
@@ -165,7 +165,7 @@ TEST(PartMethods, CertifiedIsExactEverywhere)
 }
 
 // A file whose voxels are the cells: the grid's leaves are the file's.
-TEST(PartMethods, CertifiedIsExactInVoxelsOfAFile)
+TEST(AblationMethods, CertifiedIsExactInVoxelsOfAFile)
 {
     const std::string path = ::testing::TempDir() + "vdb_nns_bench_methods.vdb";
     SceneOptions options;
@@ -180,7 +180,7 @@ TEST(PartMethods, CertifiedIsExactInVoxelsOfAFile)
             const double radius = share * scene.voxelSize;
             SearchEngine engine;
             const NeighborLists truth = engine.findNeighbors(file.view(), radius);
-            const auto method = partMethod("certified");
+            const auto method = ablationMethod("certified");
             EXPECT_EQ(ascending(listsOf(*method, file.view(), radius)), ascending(decoded(truth)))
                 << codec << ", radius " << share << " voxels";
         }
@@ -188,10 +188,10 @@ TEST(PartMethods, CertifiedIsExactInVoxelsOfAFile)
     std::filesystem::remove(path);
 }
 
-TEST(PartMethods, LeavingTheBandOutCostsPairsNearTheRadiusAlone)
+TEST(AblationMethods, LeavingTheBandOutCostsPairsNearTheRadiusAlone)
 {
     for (const char* family : {"filter-only", "world-float", "world-double"}) {
-        const auto method = partMethod(family);
+        const auto method = ablationMethod(family);
         for (const char* name : {"block", "sheet", "clusters", "near the radius", "lattice"}) {
             const PointSet set = setNamed(arraySets(Precision::kDouble), name);
             const Lists lists = listsOf(*method, SetView(set, Form::kDoubles).view(), set.radius);
@@ -199,18 +199,18 @@ TEST(PartMethods, LeavingTheBandOutCostsPairsNearTheRadiusAlone)
         }
     }
     // About a leaf's centre floats are as good anywhere and in any frame; in the world they are not.
-    const auto filter = partMethod("filter-only");
+    const auto filter = ablationMethod("filter-only");
     for (const PointSet& set : allSets()) {
         const SetView input = viewOf(set);
         expectSameButNearRadius(listsOf(*filter, input.view(), set.radius), oracleLists(set), set, 1e-5);
     }
     const PointSet far = setNamed(arraySets(Precision::kDouble), "far");
-    const auto world = partMethod("world-float");
+    const auto world = ablationMethod("world-float");
     const Lists lists = listsOf(*world, SetView(far, Form::kDoubles).view(), far.radius);
     EXPECT_GT(expectSameButNearRadius(lists, oracleLists(far), far, 1), 10U);
 }
 
-TEST(PartMethods, ScalarAndVectorsAgree)
+TEST(AblationMethods, ScalarAndVectorsAgree)
 {
     SearchOptions scalar, best;
     scalar.simd = SimdLevel::kScalar;
@@ -218,7 +218,7 @@ TEST(PartMethods, ScalarAndVectorsAgree)
                                                                   {"world-float", 0},  {"world-double", 0},
                                                                   {"sampled", 12.345}, {"nearest", 7}};
     for (const auto& [family, number] : families) {
-        const auto one = partMethod(family, number, scalar), eight = partMethod(family, number, best);
+        const auto one = ablationMethod(family, number, scalar), eight = ablationMethod(family, number, best);
         for (const PointSet& set : arraySets(Precision::kDouble)) {
             const SetView input(set, Form::kDoubles);
             EXPECT_EQ(ascending(listsOf(*one, input.view(), set.radius)),
@@ -232,8 +232,8 @@ TEST(ApproximateMethods, SamplesArePartsOfTheWhole)
 {
     const PointSet set = setNamed(arraySets(Precision::kDouble), "clusters");
     const SetView input(set, Form::kDoubles);
-    const auto filter = partMethod("filter-only"), whole = partMethod("sampled", 100);
-    const auto half = partMethod("sampled", 50);
+    const auto filter = ablationMethod("filter-only"), whole = ablationMethod("sampled", 100);
+    const auto half = ablationMethod("sampled", 50);
     const Lists all = ascending(listsOf(*filter, input.view(), set.radius));
     EXPECT_EQ(ascending(listsOf(*whole, input.view(), set.radius)), all);
     EXPECT_EQ(whole->found().countScale(), 1);
@@ -244,20 +244,20 @@ TEST(ApproximateMethods, SamplesArePartsOfTheWhole)
     }
     const double share = static_cast<double>(pairsOf(drawn)) / static_cast<double>(pairsOf(all));
     EXPECT_NEAR(share, 0.5, 0.05);
-    EXPECT_THROW(partMethod("sampled", 0), InvalidInput);
-    EXPECT_THROW(partMethod("sampled", 101), InvalidInput);
+    EXPECT_THROW(ablationMethod("sampled", 0), InvalidInput);
+    EXPECT_THROW(ablationMethod("sampled", 101), InvalidInput);
 }
 
 TEST(ApproximateMethods, NearestKeepsTheNearest)
 {
-    EXPECT_THROW(partMethod("nearest", 0), InvalidInput);
+    EXPECT_THROW(ablationMethod("nearest", 0), InvalidInput);
     for (const char* name : {"block", "clusters", "lattice", "all coincident"}) {
         const PointSet set = setNamed(arraySets(Precision::kDouble), name);
         const SetView input(set, Form::kDoubles);
-        const auto filter = partMethod("filter-only");
+        const auto filter = ablationMethod("filter-only");
         const Lists all = ascending(listsOf(*filter, input.view(), set.radius));
         for (const std::size_t most : {1, 8, 33, 1000}) {
-            const auto nearest = partMethod("nearest", static_cast<double>(most));
+            const auto nearest = ablationMethod("nearest", static_cast<double>(most));
             const Lists lists = ascending(listsOf(*nearest, input.view(), set.radius));
             for (std::size_t i = 0; i < all.size(); ++i) {
                 ASSERT_EQ(lists[i].size(), std::min(most, all[i].size()));
@@ -274,7 +274,7 @@ TEST(ApproximateMethods, NearestKeepsTheNearest)
     }
     // Ties by number.
     const PointSet same = setNamed(arraySets(Precision::kDouble), "all coincident");
-    const auto two = partMethod("nearest", 2);
+    const auto two = ablationMethod("nearest", 2);
     const Lists lists = ascending(listsOf(*two, SetView(same, Form::kDoubles).view(), same.radius));
     EXPECT_EQ(lists[0], (std::vector<std::uint32_t>{1, 2}));
     EXPECT_EQ(lists[9], (std::vector<std::uint32_t>{0, 1}));
@@ -336,7 +336,7 @@ TEST(CodecMethods, LoseWhatTheirStepIsWorth)
     const Lists truth = ascending(decoded(engine.findNeighbors(view, radius)));
     double shares[2];
     for (const int codec : {0, 1}) {
-        const auto method = partMethod(codec ? "codec16" : "codec8", 0, {}, voxel);
+        const auto method = ablationMethod(codec ? "codec16" : "codec8", 0, {}, voxel);
         const Lists lists = ascending(listsOf(*method, view, radius));
         std::vector<std::uint32_t> wrong;
         for (std::size_t i = 0; i < truth.size(); ++i) {
@@ -356,7 +356,7 @@ std::vector<std::unique_ptr<Method>> doublePeers()
     for (const char* family : {"openvdb", "nanoflann-double", "brute-force"}) {
         if (cli::missingPeer(family).empty()) methods.push_back(cli::makePeerMethod(specOf(family)));
     }
-    methods.push_back(partMethod("world-double"));
+    methods.push_back(ablationMethod("world-double"));
     return methods;
 }
 
@@ -390,11 +390,11 @@ TEST(Peers, BruteForceRowsAscend)
 TEST(AllMethods, LeaveNothingBehind)
 {
     auto methods = doublePeers();
-    methods.push_back(partMethod("certified"));
-    methods.push_back(partMethod("filter-only"));
-    methods.push_back(partMethod("sampled", 30));
-    methods.push_back(partMethod("nearest", 5));
-    methods.push_back(partMethod("codec8"));
+    methods.push_back(ablationMethod("certified"));
+    methods.push_back(ablationMethod("filter-only"));
+    methods.push_back(ablationMethod("sampled", 30));
+    methods.push_back(ablationMethod("nearest", 5));
+    methods.push_back(ablationMethod("codec8"));
     const std::vector<PointSet> sets = arraySets(Precision::kDouble);
     const PointSet block = setNamed(sets, "block"), small = setNamed(sets, "two coincident");
     const SetView input(block, Form::kDoubles), other(small, Form::kDoubles);
@@ -422,7 +422,7 @@ TEST(AllMethods, LeaveNothingBehind)
     for (ExactPoint& point : whole.points) {
         for (double& x : point.offset) x = std::isfinite(x) ? x : 0.25;
     }
-    const auto certified = partMethod("certified");
+    const auto certified = ablationMethod("certified");
     listsOf(*certified, SetView(whole, Form::kDoubles).view(), whole.radius);
     EXPECT_TRUE(sameLists(listsOf(*certified, SetView(holes, Form::kDoubles).view(), holes.radius),
                           oracleLists(holes), holes));
@@ -430,7 +430,7 @@ TEST(AllMethods, LeaveNothingBehind)
 
 TEST(AllMethods, RefuseOthersByName)
 {
-    EXPECT_THROW(partMethod("openvdb"), std::logic_error);
+    EXPECT_THROW(ablationMethod("openvdb"), std::logic_error);
     EXPECT_THROW(cli::makePeerMethod(specOf("certified")), std::logic_error);
     EXPECT_TRUE(cli::missingPeer("openvdb").empty());
     EXPECT_TRUE(cli::missingPeer("brute-force").empty());

@@ -442,8 +442,8 @@ TEST(SparseGrid, ACrowdAtTheOriginIsOneOfMany)
     }
 }
 
-// Most particles at one place, the others alone. Where the pilot draws the cube of the crowd it stops: cells of the radius.
-TEST(SparseGrid, ACrowdAmongLoneParticlesEndsThePilot)
+// Most particles at one place, the others alone. Where the sample draws the cube of the crowd it stops: cells of the radius.
+TEST(SparseGrid, ACrowdAmongLoneParticlesEndsTheSample)
 {
     constexpr std::size_t kCount = 400000;
     std::vector<float> xyz;

@@ -1,7 +1,7 @@
 // Output files: whole or not at all, and the bytes of the .npz lists, read back by a ZIP reader written here.
 #include "agreement/point_views.h"
-#include "io/npz_direct.h"
 #include "io/npz_parts.h"
+#include "io/npz_stream.h"
 #include "io/npz_writer.h"
 #include "io/output_file.h"
 #include "vdb_nns/error.h"
@@ -745,7 +745,7 @@ TEST_F(OutputTest, npzOfASearchWithoutListsHasTheSameBytes)
                 for (const std::uint64_t bufferBytes : {0u, 600u, 100000u}) {
                     tbb::task_arena arena(threads);
                     arena.execute([&] {
-                        writeNpzDirect(path("direct.npz"), engine, counts, values, kOverwrite, bufferBytes);
+                        streamNpz(path("direct.npz"), engine, counts, values, kOverwrite, bufferBytes);
                     });
                     EXPECT_TRUE(contents(path("direct.npz")) == contents(path("lists.npz")))
                         << set.name << ", " << threads << " threads, buffers of " << bufferBytes;

@@ -20,7 +20,7 @@ struct Whole {
     {
         DeviceLimits device = deviceOf(own.need(encoding), 1);
         schedule = makeSchedule(own.grid, tree, {device});
-        block = runBlocksOf(own.grid.data(), schedule).at(0);
+        block = pendingBlocksOf(own.grid.data(), schedule).at(0);
         makeHalo(own.grid.data(), block);
         block.isStaged = true;
         SearchOptions options;
@@ -40,20 +40,21 @@ struct Whole {
     EstimatedGrid own;
     WorkloadTree tree;
     Schedule schedule;
-    RunBlock block;
+    PendingBlock block;
     std::vector<std::uint32_t> counts; // by slot
 };
 
 // Every query is in one of them.
-void expectAll(const BlockSplit& split, const RunBlock& whole)
+void expectAll(const BlockSplit& split, const PendingBlock& whole)
 {
-    std::vector<RunBlock> all = split.parts;
+    std::vector<PendingBlock> all = split.parts;
     all.insert(all.end(), split.tooLarge.begin(), split.tooLarge.end());
-    std::sort(all.begin(), all.end(),
-              [](const RunBlock& a, const RunBlock& b) { return a.part.firstSlot < b.part.firstSlot; });
+    std::sort(all.begin(), all.end(), [](const PendingBlock& a, const PendingBlock& b) {
+        return a.part.firstSlot < b.part.firstSlot;
+    });
     std::uint32_t next = whole.part.firstSlot;
     std::uint64_t tests = 0;
-    for (const RunBlock& part : all) {
+    for (const PendingBlock& part : all) {
         EXPECT_EQ(part.part.firstSlot, next);
         EXPECT_EQ(part.block, whole.block);
         EXPECT_TRUE(part.isStaged);
@@ -73,7 +74,7 @@ TEST(BlockParts, AreHalvesWhereNothingIsKnown)
         EXPECT_TRUE(split.tooLarge.empty());
         expectAll(split, whole.block);
         EXPECT_EQ(split.parts.back().part.firstSlot, 0u) << "the last is next";
-        for (const RunBlock& part : split.parts) {
+        for (const PendingBlock& part : split.parts) {
             EXPECT_EQ(part.item.isExact, encoding != Encoding::kIndex);
             EXPECT_FALSE(part.item.isTried);
             EXPECT_LT(part.item.bytes.total(), whole.block.item.bytes.total());
@@ -90,7 +91,7 @@ TEST(BlockParts, FitWhereCountsAreKnown)
             const std::uint64_t most = whole.own.need(encoding) / divisor;
             const BlockSplit split = whole.split(most, true);
             expectAll(split, whole.block);
-            for (const RunBlock& part : split.parts) {
+            for (const PendingBlock& part : split.parts) {
                 EXPECT_TRUE(part.item.isExact);
                 EXPECT_TRUE(most == 0 || part.item.bytes.total() <= most);
             }
@@ -104,8 +105,8 @@ TEST(BlockParts, FitWhereCountsAreKnown)
 TEST(BlockParts, ABlockOfAnotherGridIsRefused)
 {
     const Whole whole(Encoding::kMask), other(Encoding::kMask, "spray");
-    EXPECT_THROW(runBlocksOf(other.own.grid.data(), whole.schedule), InvalidInput);
-    EXPECT_THROW(runBlocksOf(whole.own.grid.data(), Schedule()), InvalidInput);
+    EXPECT_THROW(pendingBlocksOf(other.own.grid.data(), whole.schedule), InvalidInput);
+    EXPECT_THROW(pendingBlocksOf(whole.own.grid.data(), Schedule()), InvalidInput);
 }
 
 } // namespace

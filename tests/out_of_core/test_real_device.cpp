@@ -63,7 +63,7 @@ struct Wish {
     StepTimes times;                                // of each flight
     std::chrono::milliseconds opening{0}, sleep{0}; // sleep: in wait()
     std::function<void(int flight)> onSearch;       // may throw
-    int threadsBeforeRefusal = -1;                  // for the slots; negative: all of them
+    int threadsBeforeRefusal = -1;                  // for the buffers; negative: all of them
 
     std::atomic<int> flights{0}, inside{0}, destroyed{0};
     std::atomic<bool> wasInsideAtEnd{false};
@@ -172,7 +172,7 @@ TEST(RealDevice, RunsItsFlightsOnThreadsOfItsOwn)
                 EXPECT_EQ(ids.size(), 1u) << "slot " << slot;
                 all.insert(ids.begin(), ids.end());
             }
-            EXPECT_EQ(all.size(), wish.threads.size()) << "slots share a thread";
+            EXPECT_EQ(all.size(), wish.threads.size()) << "buffers share a thread";
             EXPECT_EQ(all.count(std::this_thread::get_id()), 0u);
             EXPECT_EQ(wish.destroyed, 1);
         }

@@ -306,7 +306,7 @@ TEST(RunSchedule, WhatIsLearntFromFinishedBlocksSavesOverflows)
 
 // ---- devices that fail -----------------------------------------------------------------------------------------------
 
-// Fails at one step, counted over all slots. Memory may be refused instead, once or for good.
+// Fails at one step, counted over all buffers. Memory may be refused instead, once or for good.
 class FailingDevice final : public SimulatedDevice {
 public:
     struct Plan {

@@ -277,9 +277,9 @@ TEST(Schedule, LeavesThatDoNotFitAreCut)
             std::size_t cut = 0;
             for (const double share : {0.9, 0.7, 0.55, 0.4, 0.3, 0.25}) {
                 const auto budget = static_cast<std::uint64_t>(share * static_cast<double>(leaf));
-                for (const int slots : {1, 3}) {
+                for (const int buffers : {1, 3}) {
                     const std::vector<DeviceLimits> devices{
-                        deviceOf(budget * static_cast<std::uint64_t>(slots), slots)};
+                        deviceOf(budget * static_cast<std::uint64_t>(buffers), buffers)};
                     const Schedule schedule = problem.schedule(Encoding::kMask, devices, options);
                     expectSound(schedule, problem, devices);
                     for (const Block& block : schedule.blocks) {
@@ -431,7 +431,7 @@ TEST(Schedule, InCoreIsInAsManyBlocksAsEndSooner)
                   device.memoryBytes)
             << "no tree needs to be divided to know that";
         device.rates.latencySeconds = 1e-6;
-        device.slots = 1;
+        device.buffers = 1;
         EXPECT_EQ(scheduled(false).blocks.size(), 1u) << "nothing could overlap";
     }
 }

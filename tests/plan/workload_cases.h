@@ -56,12 +56,12 @@ struct SceneGrid {
     SparseGrid grid;
 };
 
-inline DeviceLimits deviceOf(std::uint64_t memoryBytes, int slots = 3)
+inline DeviceLimits deviceOf(std::uint64_t memoryBytes, int buffers = 3)
 {
     DeviceLimits device;
     device.name = "test";
     device.memoryBytes = memoryBytes;
-    device.slots = slots;
+    device.buffers = buffers;
     return device;
 }
 

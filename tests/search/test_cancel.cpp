@@ -206,8 +206,7 @@ TEST_F(CancelWithFiles, StopsWhatIsMadeOfLists)
             writeNpz(output, lists, ListValues::kDistance, {true}, progress);
         });
         expectStops("npz without lists", 0.01, [&](Progress* progress) {
-            writeNpzDirect(output, engine, lists, ListValues::kDistance, {true}, 0,
-                           optionsOf(encoding, progress));
+            streamNpz(output, engine, lists, ListValues::kDistance, {true}, 0, optionsOf(encoding, progress));
         });
         expectStops("csr", 0.01, [&](Progress* progress) { lists.toCsr(progress); });
         expectStops("checksum", 0.002, [&](Progress* progress) { lists.checksum(progress); });

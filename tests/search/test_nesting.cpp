@@ -362,7 +362,7 @@ TEST_F(NestingFiles, TasksWriteLists)
         options.encoding = Encoding::kMask;
         const NeighborLists lists = engine.findNeighbors(frame.view(), Frame::kRadius, options);
         writeNpz(path(name + "_a.npz"), lists, ListValues::kDistance, {true});
-        writeNpzDirect(path(name + "_b.npz"), engine, lists, ListValues::kDistance, {true}, 0, frame.options);
+        streamNpz(path(name + "_b.npz"), engine, lists, ListValues::kDistance, {true}, 0, frame.options);
         return contentsOf(path(name + "_a.npz"));
     };
     std::vector<std::string> expected;

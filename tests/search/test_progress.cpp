@@ -189,7 +189,7 @@ TEST_F(ThrowingProgressFiles, LeavesWritersWithoutAFile)
     expectNoFile("npz without lists", [&](Progress* progress) {
         SearchOptions options;
         options.progress = progress;
-        writeNpzDirect(out, engine, lists, ListValues::kConnectivity, {}, 0, options);
+        streamNpz(out, engine, lists, ListValues::kConnectivity, {}, 0, options);
     });
 }
 

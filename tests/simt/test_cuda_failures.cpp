@@ -155,7 +155,7 @@ TEST(CudaFailures, WhatIsKeptIsNotInTheWay)
     };
     devices[0].memoryBytes = small.need(Encoding::kMask) + 1000;
     EXPECT_EQ(search(small), 0u);
-    EXPECT_EQ(search(large), 0u) << "three slots instead of one";
+    EXPECT_EQ(search(large), 0u) << "three buffers instead of one";
     EXPECT_EQ(search(small), 0u);
     devices[0].memoryBytes = large.need(Encoding::kMask);
     EXPECT_EQ(search(large), 0u);
@@ -196,7 +196,7 @@ TEST(CudaFailures, AFailureStopsAndNamesItsCall)
             ADD_FAILURE() << "nothing was thrown";
         } catch (const DeviceError& error) {
             const std::string what = error.what();
-            // Whichever comes third of the launches of several slots; each is named by the label of its kernel.
+            // Whichever comes third of the launches of several buffers; each is named by the label of its kernel.
             EXPECT_NE(what.find(std::string(call) == "launch" ? "launcher.cuh" : call), std::string::npos)
                 << what;
             EXPECT_NE(what.find("719"), std::string::npos) << what;

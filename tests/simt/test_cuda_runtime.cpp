@@ -498,7 +498,7 @@ TEST(CudaRuntime, FailsWhenAsked)
     EXPECT_EQ(f.device[0], 1u);
 }
 
-// Each thread has its stream and memory, as the slots of the device layer have.
+// Each thread has its stream and memory, as the buffers of the device layer have.
 TEST(CudaRuntime, ServesManyThreads)
 {
     simt::resetMachine({1 << 16}, 5);

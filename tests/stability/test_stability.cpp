@@ -1,4 +1,4 @@
-// The engine answers exactly, or refuses clearly where that is right, in every cell of the stability matrix.
+// The engine answers exactly, or refuses clearly where that is right, in every trial of the stability matrix.
 #include "bench/stability/matrix.h"
 #include "vdb_nns/error.h"
 
@@ -22,30 +22,30 @@ namespace {
 
 // ---- the engine ------------------------------------------------------------------------------------------------------
 
-struct CellName {
+struct TrialName {
     std::size_t number = 0; // of the case
     MethodSpec spec;
 };
 
 // For messages of GoogleTest.
-std::ostream& operator<<(std::ostream& out, const CellName& name)
+std::ostream& operator<<(std::ostream& out, const TrialName& name)
 {
     return out << stabilityCases()[name.number].name << " with " << name.spec.name;
 }
 
-std::vector<CellName> cellsOfOurs()
+std::vector<TrialName> trialsOfOurs()
 {
-    std::vector<CellName> cells;
+    std::vector<TrialName> trials;
     for (std::size_t c = 0; c < stabilityCases().size(); ++c) {
         for (const MethodSpec& spec : stabilityMethods()) {
             const bool isSkipped = stabilityCases()[c].condition.isForDevices() && !spec.hasBudget();
-            if (spec.isExact() && !isSkipped) cells.push_back({c, spec});
+            if (spec.isExact() && !isSkipped) trials.push_back({c, spec});
         }
     }
-    return cells;
+    return trials;
 }
 
-std::string testName(const ::testing::TestParamInfo<CellName>& info)
+std::string testName(const ::testing::TestParamInfo<TrialName>& info)
 {
     std::string name = stabilityCases()[info.param.number].name + "_" + info.param.spec.name;
     for (char& c : name) {
@@ -54,21 +54,22 @@ std::string testName(const ::testing::TestParamInfo<CellName>& info)
     return name;
 }
 
-class Ours : public ::testing::TestWithParam<CellName> {};
+class Ours : public ::testing::TestWithParam<TrialName> {};
 
 TEST_P(Ours, KeepsItsWord)
 {
     const StabilityCase& stabilityCase = stabilityCases()[GetParam().number];
-    CellLimits limits;
+    TrialLimits limits;
     limits.seconds = 120; // a sanity bound: machines of CI are slow and shared
-    const StabilityCell cell = runCell(stabilityCase, GetParam().spec, limits);
-    EXPECT_TRUE(oursHolds(cell)) << cell.caseName << " (" << cell.what << ") with " << cell.method << " is "
-                                 << cell.verdict << ": " << cell.missing << " missing, " << cell.extra
-                                 << " extra, " << cell.duplicates << " twice; " << cell.message;
-    EXPECT_NE(cell.verdict, Verdict::kSkipped) << cell.message;
+    const StabilityTrial trial = runTrial(stabilityCase, GetParam().spec, limits);
+    EXPECT_TRUE(oursHolds(trial)) << trial.caseName << " (" << trial.what << ") with " << trial.method
+                                  << " is " << trial.verdict << ": " << trial.missing << " missing, "
+                                  << trial.extra << " extra, " << trial.duplicates << " twice; "
+                                  << trial.message;
+    EXPECT_NE(trial.verdict, Verdict::kSkipped) << trial.message;
 }
 
-INSTANTIATE_TEST_SUITE_P(Stability, Ours, ::testing::ValuesIn(cellsOfOurs()), testName);
+INSTANTIATE_TEST_SUITE_P(Stability, Ours, ::testing::ValuesIn(trialsOfOurs()), testName);
 
 // ---- the cases -------------------------------------------------------------------------------------------------------
 
@@ -104,8 +105,8 @@ TEST(StabilityMatrix, IsJsonAndText)
     StabilityOptions options;
     options.methods = {parseMethod("ours-mask"), parseMethod("nearest2"), parseMethod("blocks-index")};
     options.cases = {"twice", "two", "radius-0", "budget-50"};
-    const std::vector<StabilityCell> cells = runStability(options);
-    const nlohmann::ordered_json json = stabilityJson(cells);
+    const std::vector<StabilityTrial> trials = runStability(options);
+    const nlohmann::ordered_json json = stabilityJson(trials);
     std::vector<std::string> verdicts;
     for (const auto& object : json) verdicts.push_back(object["verdict"]);
     const std::vector<std::string> expected = {"exact",   "wrong",   "exact",   "exact",
@@ -119,30 +120,30 @@ TEST(StabilityMatrix, IsJsonAndText)
     EXPECT_EQ(json[0]["holds"], true);
     EXPECT_GT(json[0]["seconds"], 0);
     EXPECT_GT(json[0]["peak_rss_bytes"], 0);
-    const std::string text = stabilityText(cells);
+    const std::string text = stabilityText(trials);
     for (const char* part : {"\nbudget-50", "\nradius-0", "refused", "is not a positive finite number",
-                             "7 of 7 cells of exact methods"}) {
+                             "7 of 7 trials of exact methods"}) {
         EXPECT_NE(text.find(part), std::string::npos) << part << " is not in\n" << text;
     }
     EXPECT_EQ(text.find("FAULT"), std::string::npos) << text;
 }
 
-StabilityCell cellWith(Verdict verdict, RightOutcome right, bool isClear = true)
+StabilityTrial trialWith(Verdict verdict, RightOutcome right, bool isClear = true)
 {
-    StabilityCell cell;
-    cell.caseName = "a case";
-    cell.method = "ours-index";
-    cell.isExact = true;
-    cell.verdict = verdict;
-    cell.right = right;
-    cell.isClear = isClear;
-    return cell;
+    StabilityTrial trial;
+    trial.caseName = "a case";
+    trial.method = "ours-index";
+    trial.isExact = true;
+    trial.verdict = verdict;
+    trial.right = right;
+    trial.isClear = isClear;
+    return trial;
 }
 
 TEST(StabilityMatrix, OursHoldsWhatItPromises)
 {
     const auto holds = [](Verdict verdict, RightOutcome right) {
-        return oursHolds(cellWith(verdict, right));
+        return oursHolds(trialWith(verdict, right));
     };
     EXPECT_TRUE(holds(Verdict::kExact, RightOutcome::kAnswer));
     EXPECT_TRUE(holds(Verdict::kExact, RightOutcome::kAnswerOrRefusal));
@@ -155,12 +156,12 @@ TEST(StabilityMatrix, OursHoldsWhatItPromises)
         EXPECT_FALSE(holds(verdict, RightOutcome::kRefusal)) << verdict;
     }
     EXPECT_TRUE(holds(Verdict::kSkipped, RightOutcome::kAnswer));
-    EXPECT_FALSE(oursHolds(cellWith(Verdict::kRefused, RightOutcome::kRefusal, false)));
+    EXPECT_FALSE(oursHolds(trialWith(Verdict::kRefused, RightOutcome::kRefusal, false)));
 }
 
 TEST(StabilityMatrix, AFaultOfOursIsShouted)
 {
-    StabilityCell wrong = cellWith(Verdict::kWrong, RightOutcome::kAnswer);
+    StabilityTrial wrong = trialWith(Verdict::kWrong, RightOutcome::kAnswer);
     wrong.missing = 2;
     wrong.extra = 123'456;
     const std::string text = stabilityText({wrong});
@@ -168,7 +169,7 @@ TEST(StabilityMatrix, AFaultOfOursIsShouted)
     EXPECT_NE(text.find("FAULT OF OURS: a case: ours-index is wrong; an exact answer is due"),
               std::string::npos)
         << text;
-    EXPECT_NE(text.find("0 of 1 cells"), std::string::npos) << text;
+    EXPECT_NE(text.find("0 of 1 trials"), std::string::npos) << text;
 }
 
 } // namespace

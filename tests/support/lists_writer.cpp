@@ -1,4 +1,3 @@
-// See lists_writer.h.
 #include "lists_writer.h"
 
 #include <boost/crc.hpp>

@@ -255,11 +255,11 @@ void requireOne(const std::vector<BenchResult>& results)
     if (!results.empty()) std::rethrow_exception(results.front().refusal);
 }
 
-void requireStable(const std::vector<StabilityCell>& cells)
+void requireStable(const std::vector<StabilityTrial>& trials)
 {
-    for (const StabilityCell& cell : cells) {
-        if (!oursHolds(cell)) {
-            throw CheckFailed(cell.method + " fails the case " + cell.caseName + ": " + cell.message +
+    for (const StabilityTrial& trial : trials) {
+        if (!oursHolds(trial)) {
+            throw CheckFailed(trial.method + " fails the case " + trial.caseName + ": " + trial.message +
                               "; please report it");
         }
     }

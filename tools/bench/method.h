@@ -18,9 +18,9 @@ namespace vdb_nns::cli {
 
 /// Whose method it is, and what may be wrong with its pairs.
 enum class MethodKind {
-    kEngine, ///< the engine on the CPU: exact
-    kDevice, ///< the engine on devices: exact
-    kPart,   ///< the engine's way with a part left out or exchanged, to see what that part costs and gains
+    kEngine,   ///< the engine on the CPU: exact
+    kDevice,   ///< the engine on devices: exact
+    kAblation, ///< the engine's way with a part left out or exchanged, to see what that part costs and gains
     kApproximate, ///< loses pairs on purpose
     kPeer         ///< another's library
 };

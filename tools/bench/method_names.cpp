@@ -47,12 +47,12 @@ struct Single {
 const std::vector<Single>& singles()
 {
     static const std::vector<Single> list = {
-        {"certified", MethodKind::kPart, {}},
-        {"filter-only", MethodKind::kPart, {}},
-        {"world-float", MethodKind::kPart, {}},
-        {"world-double", MethodKind::kPart, {}},
-        {"codec16", MethodKind::kPart, {}},
-        {"codec8", MethodKind::kPart, {}},
+        {"certified", MethodKind::kAblation, {}},
+        {"filter-only", MethodKind::kAblation, {}},
+        {"world-float", MethodKind::kAblation, {}},
+        {"world-double", MethodKind::kAblation, {}},
+        {"codec16", MethodKind::kAblation, {}},
+        {"codec8", MethodKind::kAblation, {}},
         {"sampled", MethodKind::kApproximate, {50, 10}},
         {"nearest", MethodKind::kApproximate, {32, 16}},
         {"openvdb", MethodKind::kPeer, {}},
@@ -148,7 +148,7 @@ std::optional<std::vector<MethodSpec>> groupOf(const std::string& name, const Me
 {
     if (name == "ours") return engineGroup();
     if (name == "devices") return deviceGroup(suits.device);
-    if (name == "parts") return singleGroup(MethodKind::kPart, 0);
+    if (name == "parts") return singleGroup(MethodKind::kAblation, 0);
     if (name == "approximate") return singleGroup(MethodKind::kApproximate, 0);
     if (name == "peers") return singleGroup(MethodKind::kPeer, 0);
     return std::nullopt;
@@ -263,9 +263,9 @@ std::unique_ptr<Method> makeMethod(const MethodSpec& spec, const MethodSetup& se
         return makeEngineMethod(spec, setup.options);
     case MethodKind::kDevice:
         return makeDeviceMethod(spec, setup.options, setup.devices);
-    case MethodKind::kPart:
+    case MethodKind::kAblation:
     case MethodKind::kApproximate:
-        return makePartMethod(spec, setup.options, setup.voxelSize);
+        return makeAblationMethod(spec, setup.options, setup.voxelSize);
     case MethodKind::kPeer:
         break;
     }

@@ -15,9 +15,9 @@
 namespace vdb_nns::cli {
 namespace {
 
-constexpr std::uint64_t kPilot = 64;      // queries that tell whether all can be
-constexpr std::uint64_t kSample = 1000;   // where not all can
-constexpr double kMostTests = 4e10;       // of all queries against 27 cells: ten seconds or so of two cores
+constexpr std::uint64_t kFirstSample = 64; // queries that tell whether all can be
+constexpr std::uint64_t kSample = 1000;    // where not all can
+constexpr double kMostTests = 4e10;        // of all queries against 27 cells: ten seconds or so of two cores
 constexpr double kCandidatesPerRow = 6.5; // 27 cells of the radius hold (27 / (4 pi / 3)) times the neighbors
 
 // Reports how many queries are done, from many threads.
@@ -113,7 +113,7 @@ Truth sampleTruth(const PointCloud& cloud, const PairJudge& judge, std::uint64_t
 }
 
 // Rows go straight to their place: one pass counts, one fills. Nothing where they are more than a quarter of the memory, which
-// the pilot may have missed.
+// the first may have missed.
 std::optional<Truth> completeTruth(const PointCloud& cloud, const PairJudge& judge,
                                    const TruthOptions& options)
 {
@@ -148,8 +148,8 @@ bool allAreFew(const PointCloud& cloud, const PairJudge& judge, const TruthOptio
 {
     const auto size = static_cast<double>(cloud.x.size());
     if (cloud.x.size() <= kSample) return true;
-    const Truth pilot = sampleTruth(cloud, judge, kPilot, options, 0.02);
-    const double pairs = static_cast<double>(pilot.pairs()) / static_cast<double>(kPilot) * size;
+    const Truth first = sampleTruth(cloud, judge, kFirstSample, options, 0.02);
+    const double pairs = static_cast<double>(first.pairs()) / static_cast<double>(kFirstSample) * size;
     return kCandidatesPerRow * (pairs + size) <= kMostTests &&
            4 * pairs + 8 * size <= 0.25 * static_cast<double>(machineMemoryBytes());
 }

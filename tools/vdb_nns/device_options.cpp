@@ -118,7 +118,7 @@ void setSimKey(const std::string& key, const std::string& value, const std::stri
     } else if (key == "latency") {
         rates.latencySeconds = parseLatency(value, what);
     } else if (key == "slots") {
-        device.slots = static_cast<int>(parseRange(value, what, 1, kMostSlots));
+        device.buffers = static_cast<int>(parseRange(value, what, 1, kMostSlots));
     } else {
         throw InvalidInput("--sim: '" + key + "' in '" + spec +
                            "' is not a key; use pcie, up, down, rate, memory, latency, slots");

@@ -17,7 +17,7 @@ constexpr std::uint64_t kArrayReserve = 24 * kMiB;
 constexpr std::uint64_t kThreadReserve = 4 * kMiB;
 // writeNpz(): two blocks of 2 M pairs and their ends.
 constexpr std::uint64_t kNpzWriter = 52 * kMiB;
-// What a thread of writeNpzDirect() collects: enough for writes of many rows; more than the largest need not be, and
+// What a thread of streamNpz() collects: enough for writes of many rows; more than the largest need not be, and
 // without a bound not more than usual.
 constexpr std::uint64_t kLeastBuffer = 1 * kMiB, kUsualBuffer = 64 * kMiB, kLargestBuffer = 256 * kMiB;
 // OpenVDB's writer; and the counts and the attribute, for each particle.

@@ -43,7 +43,7 @@ public:
     /// @throws CapacityError for counts that do not fit; of other lists the search itself finds that out
     std::uint64_t listBytes(const SparseGrid& grid, Encoding encoding) const;
 
-    /// What the threads of writeNpzDirect() may collect together.
+    /// What the threads of streamNpz() may collect together.
     std::uint64_t bufferBytes(const SparseGrid& grid) const;
 
     /// Runs a step; a CapacityError that it throws says where the memory went.

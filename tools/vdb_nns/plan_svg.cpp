@@ -1,4 +1,4 @@
-// See plan_svg.h. Cells are projected along one axis; `Frame` maps the two others to the page, whose y points down.
+// Cells are projected along one axis; `Frame` maps the two others to the page, whose y points down.
 // Blocks are aligned cubes, so their squares on the page are the same, nested or apart: blocks behind each other share a
 // square, a stripe each, and smaller squares stand inset in larger ones. Every block that is drawn can be seen.
 #include "plan_svg.h"

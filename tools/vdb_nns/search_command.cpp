@@ -303,8 +303,8 @@ void writeLists(const std::string& path, SearchEngine& engine, const NeighborLis
 {
     const ListValues values = flags.lists == "distance" ? ListValues::kDistance : ListValues::kConnectivity;
     if (plan.straightToFile) {
-        writeNpzDirect(path, engine, lists, values, outputOptions(flags.common),
-                       memory.bufferBytes(lists.grid()), plan.options);
+        streamNpz(path, engine, lists, values, outputOptions(flags.common), memory.bufferBytes(lists.grid()),
+                  plan.options);
     } else {
         writeNpz(path, lists, values, outputOptions(flags.common), plan.options.progress);
     }

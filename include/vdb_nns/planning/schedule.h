@@ -33,7 +33,7 @@ struct DeviceLimits {
     DeviceKind kind = DeviceKind::kSim;
     std::string name;
     std::uint64_t memoryBytes = 0;
-    int slots = 3; ///< blocks in flight
+    int buffers = 3; ///< blocks in flight
     Rates rates;
     int ordinal = 0; ///< of a CUDA device
     bool mapped =
@@ -89,11 +89,11 @@ struct Schedule {
     double lowerBoundSeconds = 0; ///< all tests over the sum of all rates of tests
 };
 
-/// Most bytes that a block may have on a device beside others: its memory, shared by its slots.
+/// Most bytes that a block may have on a device beside others: its memory, shared by its buffers.
 std::uint64_t blockBudget(const DeviceLimits& device);
 
 /// How far the tree is to be divided for those devices (WorkloadTreeOptions::nodeBytes): into nodes that fit a slot, and somewhat
-/// smaller ones where so few would not keep all executors busy to the end, or not all slots of the one device that everything
+/// smaller ones where so few would not keep all executors busy to the end, or not all buffers of the one device that everything
 /// fits. Not at all where everything fits and ScheduleOptions::oneBlock is set, or nothing could be gained.
 std::uint64_t nodeBytesFor(const SparseGrid& grid, const WorkEstimate& estimate, const MemoryModel& model,
                            const std::vector<DeviceLimits>& devices, const ScheduleOptions& options = {});
@@ -102,7 +102,7 @@ std::uint64_t nodeBytesFor(const SparseGrid& grid, const WorkEstimate& estimate,
 /// the one device is one block, unless the tree is divided and its nodes end sooner, as they are sent and searched side by side.
 /// A pure function: the same arguments give the same schedule.
 /// Cost: some microseconds a block.
-/// @throws InvalidInput for a device without memory, slots or speed, a block size below a leaf, a tree of another grid, or one
+/// @throws InvalidInput for a device without memory, buffers or speed, a block size below a leaf, a tree of another grid, or one
 ///         that is not divided as far as the devices' memory needs
 Schedule makeSchedule(const SparseGrid& grid, const WorkloadTree& tree,
                       const std::vector<DeviceLimits>& devices, const ScheduleOptions& options = {});

@@ -1,5 +1,5 @@
 // All pairs: what needs no structure, and what a structure has to beat. World positions in doubles.
-#include "bench/methods/part_kernels.h"
+#include "bench/methods/ablation_kernels.h"
 #include "bench/methods/peers.h"
 #include "machine.h"
 
@@ -72,7 +72,7 @@ private:
         }
     }
 
-    const TestFunction<double> mTest = partKernels<double>(SimdLevel::kBest).test;
+    const TestFunction<double> mTest = ablationKernels<double>(SimdLevel::kBest).test;
     std::vector<double> mAxes[3];
     std::vector<std::uint32_t> mNumbers;
     tbb::enumerable_thread_specific<Worker> mWorkers{[this] { return Worker(mPool); }};

@@ -122,7 +122,7 @@ private:
                             needed, allowed);
     }
 
-    // With half the slots it is another method than the one asked for, and in core not even that.
+    // With half the buffers it is another method than the one asked for, and in core not even that.
     void requireBudget(const PlanReport& plan, const ScheduleRun& run) const
     {
         if (run.halvings == 0) return;

@@ -10,7 +10,7 @@
 namespace vdb_nns::cli {
 namespace {
 
-// Two slots with memory of their own, so that one may upload while the other downloads.
+// Two buffers with memory of their own, so that one may upload while the other downloads.
 class Link {
 public:
     Link(const DeviceLimits& limits, std::uint64_t bytes)

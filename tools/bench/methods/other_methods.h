@@ -9,8 +9,8 @@
 
 namespace vdb_nns::cli {
 
-/// kPart:
-///   certified     this search (methods/part_search-inl.h) with every part: the control of those below
+/// kAblation:
+///   certified     this search (methods/ablation_search-inl.h) with every part: the control of those below
 ///   filter-only   float32 about the leaf's centre as the engine's filter has it; no band, no double or exact test
 ///   world-float   float32 world positions, differences of those
 ///   world-double  double world positions, differences of those
@@ -21,8 +21,8 @@ namespace vdb_nns::cli {
 ///                 average; rows are not symmetric
 ///   nearestK      the K nearest neighbors of each query, ties by number
 /// @param voxelSize world edge of the voxels for the codecs
-std::unique_ptr<Method> makePartMethod(const MethodSpec& spec, const SearchOptions& options,
-                                       double voxelSize);
+std::unique_ptr<Method> makeAblationMethod(const MethodSpec& spec, const SearchOptions& options,
+                                           double voxelSize);
 
 /// kPeer: openvdb (PointIndexGrid and PointIndexFilter), nanoflann-float, nanoflann-double, brute-force (double).
 /// @throws InvalidInput for one that this program was built without, with what to install

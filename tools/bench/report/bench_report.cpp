@@ -45,7 +45,7 @@ const char* kindName(MethodKind kind)
         return "engine";
     case MethodKind::kDevice:
         return "device";
-    case MethodKind::kPart:
+    case MethodKind::kAblation:
         return "part";
     case MethodKind::kApproximate:
         return "approximate";

@@ -26,7 +26,7 @@ struct BenchReport {
     std::vector<ResolutionResult> resolution;
     std::vector<ScalingResult> scaling;
     ModelStudy model;
-    std::vector<StabilityCell> stability;
+    std::vector<StabilityTrial> stability;
 };
 
 std::string benchJson(const BenchReport& report);

@@ -31,7 +31,7 @@ struct CaseParticles {
 /// What bounds the host memory of methods of the engine.
 enum class HostRoom {
     kFree,      ///< what the machine has free
-    kOfCell,    ///< three quarters of what the process may map
+    kOfTrial,   ///< three quarters of what the process may map
     kAsRefused, ///< next to nothing, then as much more as each refusal asks for, until there is an answer
     kGridAlone  ///< what the grid is granted while it is made, and no more for lists
 };

@@ -16,30 +16,30 @@ std::vector<MethodSpec> stabilityMethods()
     return specs;
 }
 
-std::vector<StabilityCell> runStability(const StabilityOptions& options)
+std::vector<StabilityTrial> runStability(const StabilityOptions& options)
 {
     const std::vector<StabilityCase> cases = stabilityCases(options.cases);
-    CellLimits limits;
-    limits.seconds = options.secondsPerCell;
-    limits.bytes = options.bytesPerCell;
-    std::vector<StabilityCell> cells;
+    TrialLimits limits;
+    limits.seconds = options.secondsPerTrial;
+    limits.bytes = options.bytesPerTrial;
+    std::vector<StabilityTrial> trials;
     const double all = static_cast<double>(cases.size() * options.methods.size());
     for (const StabilityCase& stabilityCase : cases) {
         for (const MethodSpec& spec : options.methods) {
-            const double done = static_cast<double>(cells.size());
+            const double done = static_cast<double>(trials.size());
             if (options.progress) options.progress->begin("stability", done / all, (done + 1) / all);
             limits.threads = spec.threads > 0 ? spec.threads : options.threads;
-            cells.push_back(runCell(stabilityCase, spec, limits));
+            trials.push_back(runTrial(stabilityCase, spec, limits));
         }
     }
-    return cells;
+    return trials;
 }
 
-bool oursHolds(const StabilityCell& cell)
+bool oursHolds(const StabilityTrial& trial)
 {
-    if (!cell.isExact || cell.verdict == Verdict::kSkipped) return true;
-    if (cell.verdict == Verdict::kExact) return cell.right != RightOutcome::kRefusal;
-    return cell.verdict == Verdict::kRefused && cell.right != RightOutcome::kAnswer && cell.isClear;
+    if (!trial.isExact || trial.verdict == Verdict::kSkipped) return true;
+    if (trial.verdict == Verdict::kExact) return trial.right != RightOutcome::kRefusal;
+    return trial.verdict == Verdict::kRefused && trial.right != RightOutcome::kAnswer && trial.isClear;
 }
 
 } // namespace vdb_nns::cli

@@ -1,7 +1,7 @@
-// `bench --stability`: every case against every method, each cell in a process of its own.
+// `bench --stability`: every case against every method, each trial in a process of its own.
 #pragma once
 
-#include "bench/stability/cell.h"
+#include "bench/stability/trial.h"
 
 #include <nlohmann/json_fwd.hpp>
 
@@ -14,8 +14,8 @@ namespace vdb_nns::cli {
 struct StabilityOptions {
     std::vector<MethodSpec> methods; ///< e.g. stabilityMethods()
     std::vector<std::string> cases;  ///< names or groups; empty: all
-    double secondsPerCell = 120;
-    std::uint64_t bytesPerCell = std::uint64_t(4) << 30;
+    double secondsPerTrial = 120;
+    std::uint64_t bytesPerTrial = std::uint64_t(4) << 30;
     int threads = 0;                     ///< 0: all
     ProgressPrinter* progress = nullptr; ///< may be null
 };
@@ -24,18 +24,18 @@ struct StabilityOptions {
 std::vector<MethodSpec> stabilityMethods();
 
 /// By case, then by method. To be called before this process starts threads: before anything is searched, read or made.
-/// @throws InvalidInput for a case that there is not; as runCell()
-std::vector<StabilityCell> runStability(const StabilityOptions& options);
+/// @throws InvalidInput for a case that there is not; as runTrial()
+std::vector<StabilityTrial> runStability(const StabilityOptions& options);
 
 /// Whether a method that promises exact pairs keeps its word: it answers exactly, or refuses clearly where that is right. True for
 /// methods that promise nothing.
-bool oursHolds(const StabilityCell& cell);
+bool oursHolds(const StabilityTrial& trial);
 
 /// An array of objects with the keys case, group, what, method, verdict, missing, extra, duplicates, asymmetric, seconds,
 /// peak_rss_bytes, message, holds.
-nlohmann::ordered_json stabilityJson(const std::vector<StabilityCell>& cells);
+nlohmann::ordered_json stabilityJson(const std::vector<StabilityTrial>& trials);
 
-/// A table of cases by methods, its legend, and a line for each cell that died, refused or fails its promise.
-std::string stabilityText(const std::vector<StabilityCell>& cells);
+/// A table of cases by methods, its legend, and a line for each trial that died, refused or fails its promise.
+std::string stabilityText(const std::vector<StabilityTrial>& trials);
 
 } // namespace vdb_nns::cli

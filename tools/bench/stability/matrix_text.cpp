@@ -23,15 +23,15 @@ std::string shortCount(std::uint64_t count)
     return format(value < 9.95 ? "%.1f%s" : "%.0f%s", value, unit);
 }
 
-std::string cellText(const StabilityCell& cell)
+std::string trialText(const StabilityTrial& trial)
 {
-    const std::string mark = oursHolds(cell) ? "" : "!";
-    switch (cell.verdict) {
+    const std::string mark = oursHolds(trial) ? "" : "!";
+    switch (trial.verdict) {
     case Verdict::kExact:
         return mark + "ok";
     case Verdict::kWrong:
-        if (cell.missing + cell.extra + cell.duplicates == 0) return mark + "varies";
-        return mark + shortCount(cell.missing) + "+" + shortCount(cell.extra + cell.duplicates);
+        if (trial.missing + trial.extra + trial.duplicates == 0) return mark + "varies";
+        return mark + shortCount(trial.missing) + "+" + shortCount(trial.extra + trial.duplicates);
     case Verdict::kRefused:
         return mark + "refused";
     case Verdict::kCrash:
@@ -65,7 +65,7 @@ struct Table {
     std::vector<std::size_t> widths;             // by method
 };
 
-Table tableOf(const std::vector<StabilityCell>& cells)
+Table tableOf(const std::vector<StabilityTrial>& trials)
 {
     Table table;
     const auto indexIn = [](std::vector<std::string>& names, const std::string& name) {
@@ -74,13 +74,13 @@ Table tableOf(const std::vector<StabilityCell>& cells)
         names.push_back(name);
         return names.size() - 1;
     };
-    for (const StabilityCell& cell : cells) {
-        const std::size_t row = indexIn(table.cases, cell.caseName),
-                          column = indexIn(table.methods, cell.method);
+    for (const StabilityTrial& trial : trials) {
+        const std::size_t row = indexIn(table.cases, trial.caseName),
+                          column = indexIn(table.methods, trial.method);
         table.texts.resize(table.cases.size());
-        table.widths.resize(table.methods.size(), Head(cell.method).width());
+        table.widths.resize(table.methods.size(), Head(trial.method).width());
         if (table.texts[row].size() <= column) table.texts[row].resize(column + 1);
-        table.texts[row][column] = cellText(cell);
+        table.texts[row][column] = trialText(trial);
         table.widths[column] = std::max(table.widths[column], table.texts[row][column].size());
     }
     return table;
@@ -97,9 +97,9 @@ std::string trimmed(std::string text)
     return text + "\n";
 }
 
-std::string tableText(const std::vector<StabilityCell>& cells)
+std::string tableText(const std::vector<StabilityTrial>& trials)
 {
-    const Table table = tableOf(cells);
+    const Table table = tableOf(trials);
     std::size_t nameWidth = 0;
     for (const std::string& name : table.cases) nameWidth = std::max(nameWidth, name.size());
     std::string upper = padded("case", nameWidth), lower = padded("", nameWidth), text;
@@ -119,8 +119,8 @@ std::string tableText(const std::vector<StabilityCell>& cells)
     return text;
 }
 
-// Cells of a case that say the same stand together.
-std::string remarks(const std::vector<StabilityCell>& cells)
+// Trials of a case that say the same stand together.
+std::string remarks(const std::vector<StabilityTrial>& trials)
 {
     std::vector<std::pair<std::string, std::string>> lines; // what is said, and of which methods
     std::string text, lastCase;
@@ -128,77 +128,77 @@ std::string remarks(const std::vector<StabilityCell>& cells)
         for (const auto& [said, methods] : lines) text += lastCase + ": " + methods + ": " + said + "\n";
         lines.clear();
     };
-    for (const StabilityCell& cell : cells) {
-        if (cell.caseName != lastCase) flush();
-        lastCase = cell.caseName;
-        const bool isPlain = cell.verdict == Verdict::kExact || cell.verdict == Verdict::kSkipped;
-        if ((isPlain && oursHolds(cell)) || cell.message.empty()) continue;
+    for (const StabilityTrial& trial : trials) {
+        if (trial.caseName != lastCase) flush();
+        lastCase = trial.caseName;
+        const bool isPlain = trial.verdict == Verdict::kExact || trial.verdict == Verdict::kSkipped;
+        if ((isPlain && oursHolds(trial)) || trial.message.empty()) continue;
         const auto found =
-            std::find_if(lines.begin(), lines.end(), [&](const auto& l) { return l.first == cell.message; });
+            std::find_if(lines.begin(), lines.end(), [&](const auto& l) { return l.first == trial.message; });
         if (found == lines.end()) {
-            lines.push_back({cell.message, cell.method});
+            lines.push_back({trial.message, trial.method});
         } else {
-            found->second += ", " + cell.method;
+            found->second += ", " + trial.method;
         }
     }
     flush();
     return text;
 }
 
-std::string failures(const std::vector<StabilityCell>& cells)
+std::string failures(const std::vector<StabilityTrial>& trials)
 {
     std::string text;
     std::uint64_t exact = 0, held = 0;
-    for (const StabilityCell& cell : cells) {
-        if (!cell.isExact || cell.verdict == Verdict::kSkipped) continue;
+    for (const StabilityTrial& trial : trials) {
+        if (!trial.isExact || trial.verdict == Verdict::kSkipped) continue;
         ++exact;
-        held += oursHolds(cell);
-        if (oursHolds(cell)) continue;
-        const char* const due = cell.verdict == Verdict::kRefused && !cell.isClear
+        held += oursHolds(trial);
+        if (oursHolds(trial)) continue;
+        const char* const due = trial.verdict == Verdict::kRefused && !trial.isClear
                                     ? "it does not say what it has to"
-                                : cell.right == RightOutcome::kRefusal ? "a refusal is due"
-                                                                       : "an exact answer is due";
-        text += "FAULT OF OURS: " + cell.caseName + ": " + cell.method + " is " + verdictName(cell.verdict) +
-                "; " + due + "\n";
+                                : trial.right == RightOutcome::kRefusal ? "a refusal is due"
+                                                                        : "an exact answer is due";
+        text += "FAULT OF OURS: " + trial.caseName + ": " + trial.method + " is " +
+                verdictName(trial.verdict) + "; " + due + "\n";
     }
     if (exact == 0) return text;
     return text + countText(held) + " of " + countText(exact) +
-           " cells of exact methods are as they have to be\n";
+           " trials of exact methods are as they have to be\n";
 }
 
 } // namespace
 
-nlohmann::ordered_json stabilityJson(const std::vector<StabilityCell>& cells)
+nlohmann::ordered_json stabilityJson(const std::vector<StabilityTrial>& trials)
 {
     nlohmann::ordered_json array = nlohmann::ordered_json::array();
-    for (const StabilityCell& cell : cells) {
+    for (const StabilityTrial& trial : trials) {
         nlohmann::ordered_json object;
-        object["case"] = cell.caseName;
-        object["group"] = cell.group;
-        object["what"] = cell.what;
-        object["method"] = cell.method;
-        object["verdict"] = verdictName(cell.verdict);
-        object["missing"] = cell.missing;
-        object["extra"] = cell.extra;
-        object["duplicates"] = cell.duplicates;
-        object["asymmetric"] = cell.asymmetric ? nlohmann::ordered_json(*cell.asymmetric) : nullptr;
-        object["seconds"] = cell.seconds;
-        object["peak_rss_bytes"] = cell.peakBytes;
-        object["message"] = cell.message;
-        object["holds"] = cell.isExact ? nlohmann::ordered_json(oursHolds(cell)) : nullptr;
+        object["case"] = trial.caseName;
+        object["group"] = trial.group;
+        object["what"] = trial.what;
+        object["method"] = trial.method;
+        object["verdict"] = verdictName(trial.verdict);
+        object["missing"] = trial.missing;
+        object["extra"] = trial.extra;
+        object["duplicates"] = trial.duplicates;
+        object["asymmetric"] = trial.asymmetric ? nlohmann::ordered_json(*trial.asymmetric) : nullptr;
+        object["seconds"] = trial.seconds;
+        object["peak_rss_bytes"] = trial.peakBytes;
+        object["message"] = trial.message;
+        object["holds"] = trial.isExact ? nlohmann::ordered_json(oursHolds(trial)) : nullptr;
         array.push_back(object);
     }
     return array;
 }
 
-std::string stabilityText(const std::vector<StabilityCell>& cells)
+std::string stabilityText(const std::vector<StabilityTrial>& trials)
 {
     const std::string legend =
         "ok: exact; A+B: A pairs missing and B extra or twice; varies: other pairs from run to run; refused: "
         "an exception that says why;\nCRASH, HANG, MEMORY: the process died, was stopped, ran out of "
         "memory; -: the case is not about such methods; !: a fault of ours\n";
-    const std::string said = remarks(cells);
-    return tableText(cells) + "\n" + legend + (said.empty() ? "" : "\n" + said) + "\n" + failures(cells);
+    const std::string said = remarks(trials);
+    return tableText(trials) + "\n" + legend + (said.empty() ? "" : "\n" + said) + "\n" + failures(trials);
 }
 
 } // namespace vdb_nns::cli

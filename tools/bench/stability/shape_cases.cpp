@@ -10,7 +10,7 @@ namespace {
 // cells of the radius, and on that of ours, which are a hair wider.
 CasePoints seam(double faceCells)
 {
-    constexpr double kHair = 1.0 / 65536;
+    constexpr double kCellPadding = 1.0 / 65536;
     CasePoints points;
     CaseRandom random(3);
     const double face = faceCells * points.radius;
@@ -22,7 +22,7 @@ CasePoints seam(double faceCells)
             for (int k = 0; k < 30; ++k) {
                 const Vec3d off = random.point(2);
                 Vec3d on = {center[0] + off[0], center[1] + off[1], center[2] + off[2]};
-                const double face = k < 15 ? at : at * (1 + kHair);
+                const double face = k < 15 ? at : at * (1 + kCellPadding);
                 on[axis] = k % 3 == 0 ? face : std::nextafter(face, k % 3 == 1 ? -1e9 : 1e9);
                 points.at.push_back(on);
             }
@@ -128,7 +128,7 @@ CasePoints zipf()
 }
 
 // All within less than the radius of each other.
-CasePoints oneCell(int count)
+CasePoints oneTrial(int count)
 {
     CasePoints points;
     CaseRandom random(10);
@@ -169,7 +169,7 @@ constexpr char kCapacity[] = "more host memory"; // the last of the ways out tha
 RunCondition hugeCondition()
 {
     RunCondition condition;
-    condition.hostRoom = HostRoom::kOfCell;
+    condition.hostRoom = HostRoom::kOfTrial;
     condition.addressBytes = std::uint64_t(2) << 30; // a fraction of what lists of numbers take: sooner full
     condition.deviceBytes = 64u << 20;
     return condition;
@@ -265,7 +265,7 @@ void addClusters(std::vector<StabilityCase>& cases)
                      }});
     cases.push_back({"pairs", "pairs-past-2^31",
                      "47 000 particles in a cell, 2.2e9 pairs: ArborX #1012, fVDB #712, cuML #627",
-                     [] { return asFloats(oneCell(47000)); }, hugeCondition(), unlessIndex, kCapacity});
+                     [] { return asFloats(oneTrial(47000)); }, hugeCondition(), unlessIndex, kCapacity});
     cases.push_back({"pairs", "coincident-1e5",
                      "100 000 particles at one point, 1e10 pairs: finished in no peer of design 6",
                      [] { return asFloats(coincident(100000)); }, hugeCondition(), unlessIndex, kCapacity});

@@ -1,4 +1,3 @@
-// See estimators.h.
 #include "bench/studies/estimators.h"
 
 #include "cli_options.h"

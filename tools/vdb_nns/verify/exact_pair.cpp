@@ -1,4 +1,4 @@
-// See exact_pair.h. A finite double is an integer times a power of two; sums and products of such numbers stay such
+// A finite double is an integer times a power of two; sums and products of such numbers stay such
 // numbers, so integers of any length decide.
 #include "exact_pair.h"
 

@@ -1,4 +1,3 @@
-// See file_pieces.h.
 #include "file_pieces.h"
 
 #include "vdb_nns/error.h"

@@ -1,4 +1,3 @@
-// See independent_search.h.
 #include "independent_search.h"
 
 #include "cell_rows.h"

@@ -1,4 +1,3 @@
-// See lists_reader.h.
 #include "lists_reader.h"
 
 #include "file_pieces.h"

@@ -1,4 +1,3 @@
-// See point_cells.h.
 //
 // Error of a coordinate. s_c = (voxel - reference voxel) + offset has |error| <= u |s_c|, u = 2^-53. p_k is the sum of three
 // products m_kc s_c: each product errs by u of itself and takes 1 more u from s_c, two additions add 2 u at most of the

@@ -1,4 +1,3 @@
-// See row_check.h.
 #include "row_check.h"
 
 #include <algorithm>

@@ -1,4 +1,3 @@
-// See zip_members.h.
 #include "zip_members.h"
 
 #include "throw_if_cancelled.h"

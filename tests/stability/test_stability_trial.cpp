@@ -1,4 +1,4 @@
-// The runner of stability cells says truly how a method fails, whatever it does to its process.
+// The runner of stability trials says truly how a method fails, whatever it does to its process.
 #include "bench/stability/matrix.h"
 #include "bench/truth.h"
 #include "signals.h"
@@ -33,18 +33,18 @@ private:
     Run mRun;
 };
 
-// A cell of a method that does that.
-StabilityCell cellOf(const Double::Run& run, double seconds = 30, const char* caseName = "twice",
-                     MethodKind kind = MethodKind::kPeer)
+// A trial of a method that does that.
+StabilityTrial trialOf(const Double::Run& run, double seconds = 30, const char* caseName = "twice",
+                       MethodKind kind = MethodKind::kPeer)
 {
     MethodSpec spec;
     spec.name = "double";
     spec.kind = kind;
-    CellLimits limits;
+    TrialLimits limits;
     limits.seconds = seconds;
     limits.bytes = std::uint64_t(512) << 20;
-    return runCell(stabilityCases({caseName}).front(), spec, limits,
-                   [&](const MethodSpec&, const MethodSetup&) { return std::make_unique<Double>(run); });
+    return runTrial(stabilityCases({caseName}).front(), spec, limits,
+                    [&](const MethodSpec&, const MethodSetup&) { return std::make_unique<Double>(run); });
 }
 
 // The true rows, to be spoilt.
@@ -68,23 +68,23 @@ void setRow(RowBuffers& rows, std::uint32_t query, const std::vector<std::uint32
     rows.places[query].count = static_cast<std::uint32_t>(row.size());
 }
 
-TEST(StabilityCell, OneThatIsRightIsExact)
+TEST(StabilityTrial, OneThatIsRightIsExact)
 {
-    const StabilityCell cell = cellOf(trueRows);
-    EXPECT_EQ(cell.verdict, Verdict::kExact) << cell.message;
-    EXPECT_EQ(cell.missing + cell.extra + cell.duplicates, 0u);
-    EXPECT_EQ(cell.asymmetric, 0u);
-    EXPECT_GT(cell.seconds, 0);
-    EXPECT_LT(cell.seconds, 30);
-    EXPECT_GT(cell.peakBytes, 100'000u);
-    EXPECT_EQ(cell.caseName, "twice");
-    EXPECT_EQ(cell.group, "duplicates");
-    EXPECT_EQ(cell.method, "double");
+    const StabilityTrial trial = trialOf(trueRows);
+    EXPECT_EQ(trial.verdict, Verdict::kExact) << trial.message;
+    EXPECT_EQ(trial.missing + trial.extra + trial.duplicates, 0u);
+    EXPECT_EQ(trial.asymmetric, 0u);
+    EXPECT_GT(trial.seconds, 0);
+    EXPECT_LT(trial.seconds, 30);
+    EXPECT_GT(trial.peakBytes, 100'000u);
+    EXPECT_EQ(trial.caseName, "twice");
+    EXPECT_EQ(trial.group, "duplicates");
+    EXPECT_EQ(trial.method, "double");
 }
 
-TEST(StabilityCell, WrongPairsAreCounted)
+TEST(StabilityTrial, WrongPairsAreCounted)
 {
-    const StabilityCell cell = cellOf([](const ParticleView& view, double radius) {
+    const StabilityTrial trial = trialOf([](const ParticleView& view, double radius) {
         auto rows = trueRows(view, radius);
         for (std::uint32_t query = 0; query < 7; ++query) { // 7 missing
             std::vector<std::uint32_t> row = rows->buffers[query];
@@ -102,17 +102,17 @@ TEST(StabilityCell, WrongPairsAreCounted)
         setRow(*rows, 200, row);
         return rows;
     });
-    EXPECT_EQ(cell.verdict, Verdict::kWrong);
-    EXPECT_EQ(cell.missing, 7u);
-    EXPECT_EQ(cell.extra, 3u);
-    EXPECT_EQ(cell.duplicates, 2u);
-    ASSERT_TRUE(cell.asymmetric.has_value());
-    EXPECT_EQ(*cell.asymmetric, 10u);
+    EXPECT_EQ(trial.verdict, Verdict::kWrong);
+    EXPECT_EQ(trial.missing, 7u);
+    EXPECT_EQ(trial.extra, 3u);
+    EXPECT_EQ(trial.duplicates, 2u);
+    ASSERT_TRUE(trial.asymmetric.has_value());
+    EXPECT_EQ(*trial.asymmetric, 10u);
 }
 
-TEST(StabilityCell, WrongCountsAreCounted)
+TEST(StabilityTrial, WrongCountsAreCounted)
 {
-    const StabilityCell cell = cellOf([](const ParticleView& view, double radius) {
+    const StabilityTrial trial = trialOf([](const ParticleView& view, double radius) {
         const auto rows = trueRows(view, radius);
         std::vector<std::uint32_t> counts;
         for (std::uint32_t i = 0; i < view.size(); ++i)
@@ -121,14 +121,14 @@ TEST(StabilityCell, WrongCountsAreCounted)
         counts[5] -= 2;
         return std::make_unique<CountedNeighbors>(counts);
     });
-    EXPECT_EQ(cell.verdict, Verdict::kWrong);
-    EXPECT_EQ(cell.missing, 2u);
-    EXPECT_EQ(cell.extra, 4u);
-    EXPECT_FALSE(cell.asymmetric.has_value());
+    EXPECT_EQ(trial.verdict, Verdict::kWrong);
+    EXPECT_EQ(trial.missing, 2u);
+    EXPECT_EQ(trial.extra, 4u);
+    EXPECT_FALSE(trial.asymmetric.has_value());
 }
 
 // Where rows are known: of all particles at one point.
-TEST(StabilityCell, KnownRowsAreChecked)
+TEST(StabilityTrial, KnownRowsAreChecked)
 {
     const auto spoilt = [](int lost) {
         return [lost](const ParticleView& view, double radius) {
@@ -139,92 +139,92 @@ TEST(StabilityCell, KnownRowsAreChecked)
             return rows;
         };
     };
-    EXPECT_EQ(cellOf(spoilt(0), 30, "coincident").verdict, Verdict::kExact);
-    const StabilityCell cell = cellOf(spoilt(9), 30, "coincident");
-    EXPECT_EQ(cell.verdict, Verdict::kWrong);
-    EXPECT_EQ(cell.missing, 9u);
+    EXPECT_EQ(trialOf(spoilt(0), 30, "coincident").verdict, Verdict::kExact);
+    const StabilityTrial trial = trialOf(spoilt(9), 30, "coincident");
+    EXPECT_EQ(trial.verdict, Verdict::kWrong);
+    EXPECT_EQ(trial.missing, 9u);
 }
 
-TEST(StabilityCell, NumbersThatNoParticleHasAreWrongAndReadNothing)
+TEST(StabilityTrial, NumbersThatNoParticleHasAreWrongAndReadNothing)
 {
-    const StabilityCell cell = cellOf([](const ParticleView& view, double radius) {
+    const StabilityTrial trial = trialOf([](const ParticleView& view, double radius) {
         auto rows = trueRows(view, radius);
         setRow(*rows, 4, {0, 4'000'000'000u});
         return rows;
     });
-    EXPECT_EQ(cell.verdict, Verdict::kWrong);
-    EXPECT_EQ(cell.extra, 1u);
-    EXPECT_NE(cell.message.find("no particle"), std::string::npos);
+    EXPECT_EQ(trial.verdict, Verdict::kWrong);
+    EXPECT_EQ(trial.extra, 1u);
+    EXPECT_NE(trial.message.find("no particle"), std::string::npos);
 }
 
-TEST(StabilityCell, OtherPairsInAnotherOrderAreWrong)
+TEST(StabilityTrial, OtherPairsInAnotherOrderAreWrong)
 {
     int runs = 0;
-    const StabilityCell cell = cellOf(
+    const StabilityTrial trial = trialOf(
         [&runs](const ParticleView& view, double radius) {
             auto rows = trueRows(view, radius);
             if (runs++ == 1) setRow(*rows, 0, {});
             return rows;
         },
         30, "shuffled");
-    EXPECT_EQ(cell.verdict, Verdict::kWrong);
-    EXPECT_GT(cell.missing, 0u);
-    EXPECT_NE(cell.message.find("another order"), std::string::npos) << cell.message;
+    EXPECT_EQ(trial.verdict, Verdict::kWrong);
+    EXPECT_GT(trial.missing, 0u);
+    EXPECT_NE(trial.message.find("another order"), std::string::npos) << trial.message;
 }
 
-TEST(StabilityCell, AbortIsACrashWithItsLastWords)
+TEST(StabilityTrial, AbortIsACrashWithItsLastWords)
 {
-    const StabilityCell cell = cellOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
+    const StabilityTrial trial = trialOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
         std::cerr << "first words\nassertion that: failed" << std::endl;
         std::abort();
     });
-    EXPECT_EQ(cell.verdict, Verdict::kCrash);
-    EXPECT_EQ(cell.message, "SIGABRT: assertion that: failed");
+    EXPECT_EQ(trial.verdict, Verdict::kCrash);
+    EXPECT_EQ(trial.message, "SIGABRT: assertion that: failed");
 }
 
-TEST(StabilityCell, ASegmentationFaultIsACrash)
+TEST(StabilityTrial, ASegmentationFaultIsACrash)
 {
-    const StabilityCell cell = cellOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
+    const StabilityTrial trial = trialOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
         std::raise(SIGSEGV);
         return nullptr;
     });
-    EXPECT_EQ(cell.verdict, Verdict::kCrash);
-    EXPECT_EQ(cell.message, "SIGSEGV");
+    EXPECT_EQ(trial.verdict, Verdict::kCrash);
+    EXPECT_EQ(trial.message, "SIGSEGV");
 }
 
-TEST(StabilityCell, ExitIsACrash)
+TEST(StabilityTrial, ExitIsACrash)
 {
-    const StabilityCell cell =
-        cellOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> { std::exit(-1); });
-    EXPECT_EQ(cell.verdict, Verdict::kCrash);
-    EXPECT_EQ(cell.message, "ended the program with status 255");
+    const StabilityTrial trial =
+        trialOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> { std::exit(-1); });
+    EXPECT_EQ(trial.verdict, Verdict::kCrash);
+    EXPECT_EQ(trial.message, "ended the program with status 255");
 }
 
 // Not even with a status that says that all is well.
-TEST(StabilityCell, ExitWithNoughtIsACrash)
+TEST(StabilityTrial, ExitWithNoughtIsACrash)
 {
-    const StabilityCell cell =
-        cellOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> { _exit(0); });
-    EXPECT_EQ(cell.verdict, Verdict::kCrash);
-    EXPECT_EQ(cell.message, "ended the program with status 0");
+    const StabilityTrial trial =
+        trialOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> { _exit(0); });
+    EXPECT_EQ(trial.verdict, Verdict::kCrash);
+    EXPECT_EQ(trial.message, "ended the program with status 0");
 }
 
-TEST(StabilityCell, OneThatSleepsHangs)
+TEST(StabilityTrial, OneThatSleepsHangs)
 {
-    const StabilityCell cell = cellOf(
+    const StabilityTrial trial = trialOf(
         [](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
             for (;;) pause();
         },
         0.3);
-    EXPECT_EQ(cell.verdict, Verdict::kHang);
-    EXPECT_GE(cell.seconds, 0.3);
-    EXPECT_LT(cell.seconds, 10);
+    EXPECT_EQ(trial.verdict, Verdict::kHang);
+    EXPECT_GE(trial.seconds, 0.3);
+    EXPECT_LT(trial.seconds, 10);
 }
 
 // SIGTERM, a full pipe of words and a closed stderr are no way around the deadline.
-TEST(StabilityCell, OneThatTalksForEverHangs)
+TEST(StabilityTrial, OneThatTalksForEverHangs)
 {
-    const StabilityCell cell = cellOf(
+    const StabilityTrial trial = trialOf(
         [](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
             std::signal(SIGTERM, SIG_IGN);
             for (int k = 0;; ++k) {
@@ -233,68 +233,68 @@ TEST(StabilityCell, OneThatTalksForEverHangs)
             }
         },
         0.5);
-    EXPECT_EQ(cell.verdict, Verdict::kHang);
+    EXPECT_EQ(trial.verdict, Verdict::kHang);
 }
 
-TEST(StabilityCell, MemoryWithoutEndIsRefusedByTheLimit)
+TEST(StabilityTrial, MemoryWithoutEndIsRefusedByTheLimit)
 {
-    const StabilityCell cell = cellOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
+    const StabilityTrial trial = trialOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
         std::list<std::vector<char>> all;
         for (;;) all.emplace_back(10 << 20, 'x');
     });
-    EXPECT_EQ(cell.verdict, Verdict::kMemory);
-    EXPECT_GT(cell.peakBytes, 200u << 20);
-    EXPECT_LT(cell.peakBytes, 4096ull << 20) << "512 MiB, and 80 MiB for each thread";
+    EXPECT_EQ(trial.verdict, Verdict::kMemory);
+    EXPECT_GT(trial.peakBytes, 200u << 20);
+    EXPECT_LT(trial.peakBytes, 4096ull << 20) << "512 MiB, and 80 MiB for each thread";
 }
 
-TEST(StabilityCell, ARefusalIsTold)
+TEST(StabilityTrial, ARefusalIsTold)
 {
     const auto refuse = [](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
         throw InvalidInput("no such radius");
     };
-    StabilityCell cell = cellOf(refuse);
-    EXPECT_EQ(cell.verdict, Verdict::kRefused);
-    EXPECT_EQ(cell.message, "no such radius");
-    EXPECT_TRUE(oursHolds(cell)) << "a peer may";
-    cell = cellOf(refuse, 30, "twice", MethodKind::kEngine);
-    EXPECT_EQ(cell.verdict, Verdict::kRefused);
-    EXPECT_FALSE(oursHolds(cell)) << "an answer is due";
-    cell = cellOf(refuse, 30, "radius-0", MethodKind::kEngine);
-    EXPECT_FALSE(cell.isClear);
-    EXPECT_FALSE(oursHolds(cell)) << "a refusal is due, but a clear one";
+    StabilityTrial trial = trialOf(refuse);
+    EXPECT_EQ(trial.verdict, Verdict::kRefused);
+    EXPECT_EQ(trial.message, "no such radius");
+    EXPECT_TRUE(oursHolds(trial)) << "a peer may";
+    trial = trialOf(refuse, 30, "twice", MethodKind::kEngine);
+    EXPECT_EQ(trial.verdict, Verdict::kRefused);
+    EXPECT_FALSE(oursHolds(trial)) << "an answer is due";
+    trial = trialOf(refuse, 30, "radius-0", MethodKind::kEngine);
+    EXPECT_FALSE(trial.isClear);
+    EXPECT_FALSE(oursHolds(trial)) << "a refusal is due, but a clear one";
 }
 
-TEST(StabilityCell, OursPromisesItsExceptions)
+TEST(StabilityTrial, OursPromisesItsExceptions)
 {
     const auto fail = [](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
         throw std::out_of_range("vector::at");
     };
-    EXPECT_EQ(cellOf(fail).verdict, Verdict::kRefused) << "of a peer";
-    const StabilityCell cell = cellOf(fail, 30, "twice", MethodKind::kEngine);
-    EXPECT_EQ(cell.verdict, Verdict::kCrash);
-    EXPECT_FALSE(oursHolds(cell));
+    EXPECT_EQ(trialOf(fail).verdict, Verdict::kRefused) << "of a peer";
+    const StabilityTrial trial = trialOf(fail, 30, "twice", MethodKind::kEngine);
+    EXPECT_EQ(trial.verdict, Verdict::kCrash);
+    EXPECT_FALSE(oursHolds(trial));
 }
 
 // An answer to a radius that is none does not do, even one that is right by the letter.
-TEST(StabilityCell, WhereARefusalIsDueAnAnswerFails)
+TEST(StabilityTrial, WhereARefusalIsDueAnAnswerFails)
 {
     const auto nobody = [](const ParticleView& view, double) {
         return std::make_unique<CountedNeighbors>(std::vector<std::uint32_t>(view.size()));
     };
-    const StabilityCell cell = cellOf(nobody, 30, "radius-nan", MethodKind::kEngine);
-    EXPECT_EQ(cell.verdict, Verdict::kExact);
-    EXPECT_FALSE(oursHolds(cell));
+    const StabilityTrial trial = trialOf(nobody, 30, "radius-nan", MethodKind::kEngine);
+    EXPECT_EQ(trial.verdict, Verdict::kExact);
+    EXPECT_FALSE(oursHolds(trial));
 }
 
 // In a process of its own, as a signal that came is remembered. Its exit status is 0 if it was cancelled and its child is gone.
-TEST(StabilityCell, SigintEndsTheChildToo)
+TEST(StabilityTrial, SigintEndsTheChildToo)
 {
     const pid_t pid = fork();
     ASSERT_GE(pid, 0);
     if (pid == 0) {
         installSignalHandlers();
         try {
-            cellOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
+            trialOf([](const ParticleView&, double) -> std::unique_ptr<FoundNeighbors> {
                 kill(getppid(), SIGINT);
                 for (;;) pause();
             });

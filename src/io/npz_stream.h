@@ -23,7 +23,7 @@ public:
     virtual double distance(std::size_t row, std::size_t neighbor) const = 0;
 };
 
-// writeNpzDirect() of point_file.h for rows of any origin. A thread collects `threadBytes` of rows before it writes them.
+// streamNpz() of point_file.h for rows of any origin. A thread collects `threadBytes` of rows before it writes them.
 void writeNpzRowsDirect(const std::string& path, const NpzRowSource& source, ListValues values,
                         const OutputOptions& output, std::size_t threadBytes, Progress* progress);
 

@@ -1,4 +1,4 @@
-#include "bench/methods/cell_frame.h"
+#include "bench/methods/candidate_frame.h"
 
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_reduce.h>

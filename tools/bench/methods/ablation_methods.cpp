@@ -1,6 +1,6 @@
+#include "bench/methods/ablation_search-inl.h"
 #include "bench/methods/codec_method.h"
 #include "bench/methods/other_methods.h"
-#include "bench/methods/part_search-inl.h"
 #include "bench/methods/row_method.h"
 #include "machine.h"
 #include "shared/membership.h"
@@ -16,10 +16,10 @@
 namespace vdb_nns::cli {
 namespace {
 
-template <PartFrame kFrame, PartTest kTest>
-class PartMethod final : public RowMethod {
+template <AblationFrame kFrame, AblationTest kTest>
+class AblationMethod final : public RowMethod {
 public:
-    PartMethod(const SearchOptions& options, const PartSettings& settings, double countScale)
+    AblationMethod(const SearchOptions& options, const AblationSettings& settings, double countScale)
         : mOptions(options), mSettings(settings)
     {
         mSettings.simd = options.simd;
@@ -28,7 +28,7 @@ public:
 
 private:
     using Real = FrameReal<kFrame>;
-    using Scratch = PartScratch<kFrame>;
+    using Scratch = AblationScratch<kFrame>;
 
     void search(const ParticleView& view, double radius, MethodRun& result) override
     {
@@ -43,7 +43,7 @@ private:
         }
         for (Scratch& scratch : mScratch) scratch.rows.restart();
         const PairJudge judge(view, radius);
-        const PartSearch<kFrame, kTest> search(mStructure, limits(grid), mSettings, judge);
+        const AblationSearch<kFrame, kTest> search(mStructure, limits(grid), mSettings, judge);
         tbb::parallel_for(tbb::blocked_range<std::uint32_t>(0, static_cast<std::uint32_t>(grid.leafCount())),
                           [&](const tbb::blocked_range<std::uint32_t>& range) {
                               throwIfStopped();
@@ -59,12 +59,12 @@ private:
 
     PairLimits<Real> limits(const SparseGrid& grid) const
     {
-        if constexpr (kFrame != PartFrame::kLeafFloat) {
+        if constexpr (kFrame != AblationFrame::kLeafFloat) {
             const Real radius = static_cast<Real>(grid.radius());
             return {radius * radius, 0};
         } else {
             const double radiusCells = grid.radius() / grid.cellSize();
-            if (kTest != PartTest::kCertified) return {static_cast<float>(radiusCells * radiusCells), 0};
+            if (kTest != AblationTest::kCertified) return {static_cast<float>(radiusCells * radiusCells), 0};
             const FilterBounds bounds =
                 makeFilterBounds(radiusCells, grid.reach(), mStructure.coordinateError);
             float band; // -2 beta
@@ -74,56 +74,62 @@ private:
     }
 
     SearchOptions mOptions;
-    PartSettings mSettings;
+    AblationSettings mSettings;
     SearchEngine mEngine;
-    PartStructure<kFrame> mStructure;
+    AblationStructure<kFrame> mStructure;
     tbb::enumerable_thread_specific<Scratch> mScratch{[this] { return Scratch(mStructure, mPool); }};
 };
 
-template <PartFrame kFrame, PartTest kTest>
-std::unique_ptr<Method> makePart(const SearchOptions& options, const PartSettings& settings = {},
-                                 double countScale = 1)
+template <AblationFrame kFrame, AblationTest kTest>
+std::unique_ptr<Method> makeAblation(const SearchOptions& options, const AblationSettings& settings = {},
+                                     double countScale = 1)
 {
-    return std::make_unique<PartMethod<kFrame, kTest>>(options, settings, countScale);
+    return std::make_unique<AblationMethod<kFrame, kTest>>(options, settings, countScale);
 }
 
-PartSettings sampledSettings(double percent)
+AblationSettings sampledSettings(double percent)
 {
     if (!(percent > 0 && percent <= 100)) {
         throw InvalidInput("bench: sampled needs a percentage above 0 and up to 100");
     }
-    PartSettings settings;
+    AblationSettings settings;
     settings.sampleMost = static_cast<std::uint32_t>(std::ceil(percent / 100 * 4294967296.0) - 1);
     return settings;
 }
 
-PartSettings nearestSettings(double count)
+AblationSettings nearestSettings(double count)
 {
     if (!(count >= 1 && count < 4294967296.0)) {
         throw InvalidInput("bench: nearest needs a number of neighbors, 1 or more");
     }
-    PartSettings settings;
+    AblationSettings settings;
     settings.nearest = static_cast<std::uint32_t>(count);
     return settings;
 }
 
 } // namespace
 
-std::unique_ptr<Method> makePartMethod(const MethodSpec& spec, const SearchOptions& options, double voxelSize)
+std::unique_ptr<Method> makeAblationMethod(const MethodSpec& spec, const SearchOptions& options,
+                                           double voxelSize)
 {
     const std::string& family = spec.family;
-    if (family == "certified") return makePart<PartFrame::kLeafFloat, PartTest::kCertified>(options);
-    if (family == "filter-only") return makePart<PartFrame::kLeafFloat, PartTest::kFilter>(options);
-    if (family == "world-float") return makePart<PartFrame::kWorldFloat, PartTest::kFilter>(options);
-    if (family == "world-double") return makePart<PartFrame::kWorldDouble, PartTest::kFilter>(options);
+    if (family == "certified")
+        return makeAblation<AblationFrame::kLeafFloat, AblationTest::kCertified>(options);
+    if (family == "filter-only")
+        return makeAblation<AblationFrame::kLeafFloat, AblationTest::kFilter>(options);
+    if (family == "world-float")
+        return makeAblation<AblationFrame::kWorldFloat, AblationTest::kFilter>(options);
+    if (family == "world-double")
+        return makeAblation<AblationFrame::kWorldDouble, AblationTest::kFilter>(options);
     if (family == "codec8") return makeCodecMethod(PositionCodec::kFixed8, voxelSize, options);
     if (family == "codec16") return makeCodecMethod(PositionCodec::kFixed16, voxelSize, options);
     if (family == "sampled") {
-        return makePart<PartFrame::kLeafFloat, PartTest::kSampled>(options, sampledSettings(spec.number),
-                                                                   100 / spec.number);
+        return makeAblation<AblationFrame::kLeafFloat, AblationTest::kSampled>(
+            options, sampledSettings(spec.number), 100 / spec.number);
     }
     if (family == "nearest") {
-        return makePart<PartFrame::kLeafFloat, PartTest::kNearest>(options, nearestSettings(spec.number));
+        return makeAblation<AblationFrame::kLeafFloat, AblationTest::kNearest>(options,
+                                                                               nearestSettings(spec.number));
     }
     throw std::logic_error("bench: no part or approximate method " + family);
 }

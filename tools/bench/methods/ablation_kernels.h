@@ -78,7 +78,7 @@ using TestFunction = QueryHits (*)(const CandidateArrays<Real>& candidates, std:
                                    std::uint32_t* numbers, Real* squares);
 
 template <typename Real>
-struct PartKernels {
+struct AblationKernels {
     GatherFunction<Real> gather, gatherSample; ///< `sample` counts for the second alone
     TestFunction<Real> test;                   ///< neither `sure` nor `squares` are looked at
     TestFunction<Real> testBand;               ///< with QueryHits::doubtful
@@ -87,6 +87,6 @@ struct PartKernels {
 
 /// AVX2 where the processor has it and `simd` allows it. For float and double.
 template <typename Real>
-PartKernels<Real> partKernels(SimdLevel simd);
+AblationKernels<Real> ablationKernels(SimdLevel simd);
 
 } // namespace vdb_nns::cli

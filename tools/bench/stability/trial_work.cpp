@@ -1,6 +1,6 @@
-#include "bench/stability/cell_work.h"
+#include "bench/stability/trial_work.h"
 
-#include "bench/stability/cell_check.h"
+#include "bench/stability/trial_check.h"
 #include "device_plan.h"
 #include "machine.h"
 #include "numbers.h"
@@ -112,7 +112,7 @@ struct RunPlan {
     std::vector<std::uint32_t> order; // of the particles; empty: as they are
 };
 
-std::vector<RunPlan> plansOf(const RunCondition& condition, const CellLimits& limits, std::size_t particles)
+std::vector<RunPlan> plansOf(const RunCondition& condition, const TrialLimits& limits, std::size_t particles)
 {
     if (condition.threadCounts) {
         const int cores = tbb::info::default_concurrency();
@@ -145,17 +145,17 @@ CaseParticles inOrder(const CaseParticles& particles, const std::vector<std::uin
     return {ParticleView::fromArray(xyz->data(), order.size()), particles.radius, particles.known, xyz};
 }
 
-class CellRunner {
+class TrialRunner {
 public:
-    CellRunner(const StabilityCase& stabilityCase, const MethodSpec& spec, const CellLimits& limits,
-               const MethodMaker& make, CellRecord& record)
+    TrialRunner(const StabilityCase& stabilityCase, const MethodSpec& spec, const TrialLimits& limits,
+                const MethodMaker& make, TrialRecord& record)
         : mCase(stabilityCase), mSpec(spec), mLimits(limits), mMake(make), mRecord(record)
     {
     }
 
     void run()
     {
-        const std::optional<CaseParticles> particles = makeParticles();
+        const std::optional<CaseParticles> particles = makeAblationicles();
         if (!particles) return;
         const std::string skip = whySkipped(mCase, mSpec, particles->view.size());
         if (!skip.empty()) return conclude(Verdict::kSkipped, skip);
@@ -176,7 +176,7 @@ private:
     }
 
     // Of a point grid that no view can be made of it is the engine that refuses.
-    std::optional<CaseParticles> makeParticles()
+    std::optional<CaseParticles> makeAblationicles()
     {
         try {
             return mCase.make();
@@ -191,13 +191,13 @@ private:
     bool runOnce(const CaseParticles& asMade, const RunPlan& plan, int threads,
                  std::optional<std::uint64_t>& firstSum)
     {
-        mRecord.enter(CellPhase::kMake);
+        mRecord.enter(TrialPhase::kMake);
         const CaseParticles particles = inOrder(asMade, plan.order);
         const MethodSetup setup = setupFor(particles);
         const std::unique_ptr<Method> method = runLimited(particles, setup, threads);
         if (!method) return false;
-        mRecord.enter(CellPhase::kCheck);
-        const CellCheck check = checkFound(method->found(), particles, plan.order);
+        mRecord.enter(TrialPhase::kCheck);
+        const TrialCheck check = checkFound(method->found(), particles, plan.order);
         mRecord.missing += check.missing;
         mRecord.extra += check.extra;
         mRecord.duplicates += check.duplicates;
@@ -226,7 +226,7 @@ private:
         const RunCondition& condition = mCase.condition;
         MethodSetup setup;
         setup.options.cellSize = condition.cellSize;
-        if (condition.hostRoom == HostRoom::kOfCell) setup.options.hostMemoryBytes = mappableBytes() / 4 * 3;
+        if (condition.hostRoom == HostRoom::kOfTrial) setup.options.hostMemoryBytes = mappableBytes() / 4 * 3;
         if (condition.hostRoom == HostRoom::kGridAlone) {
             setup.options.hostMemoryBytes = bytesOfGridAlone(particles);
         }
@@ -255,7 +255,7 @@ private:
         returnFreedMemory();
         resetPeakMemory();
         mRecord.bytesBefore = residentMemoryBytes();
-        mRecord.enter(CellPhase::kRun);
+        mRecord.enter(TrialPhase::kRun);
         std::unique_ptr<Method> method;
         try {
             method = answered(particles, setup);
@@ -271,7 +271,7 @@ private:
         mRecord.seconds += monotonicSeconds() - mRecord.phaseBegan;
         const std::uint64_t peak = peakMemoryBytes();
         mRecord.peakBytes = std::max(mRecord.peakBytes, peak - std::min(peak, mRecord.bytesBefore));
-        mRecord.enter(CellPhase::kCheck);
+        mRecord.enter(TrialPhase::kCheck);
         return method;
     }
 
@@ -291,21 +291,21 @@ private:
 
     const StabilityCase& mCase;
     const MethodSpec& mSpec;
-    const CellLimits& mLimits;
+    const TrialLimits& mLimits;
     const MethodMaker& mMake;
-    CellRecord& mRecord;
+    TrialRecord& mRecord;
     ProgressPrinter mProgress{ProgressMode::kNever};
 };
 
 } // namespace
 
-void CellRecord::enter(CellPhase next)
+void TrialRecord::enter(TrialPhase next)
 {
     phaseBegan = monotonicSeconds();
     phase = next;
 }
 
-void CellRecord::say(const std::string& text)
+void TrialRecord::say(const std::string& text)
 {
     const std::size_t length = std::min(text.size(), kMessageBytes - 1);
     std::memcpy(message, text.data(), length);
@@ -317,10 +317,10 @@ double monotonicSeconds()
     return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
 
-void doCell(const StabilityCase& stabilityCase, const MethodSpec& spec, const CellLimits& limits,
-            const MethodMaker& make, CellRecord& record)
+void doTrial(const StabilityCase& stabilityCase, const MethodSpec& spec, const TrialLimits& limits,
+             const MethodMaker& make, TrialRecord& record)
 {
-    CellRunner(stabilityCase, spec, limits, make, record).run();
+    TrialRunner(stabilityCase, spec, limits, make, record).run();
 }
 
 } // namespace vdb_nns::cli

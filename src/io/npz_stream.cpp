@@ -3,7 +3,7 @@
 // Counts give every row its place. A thread collects rows until its buffer is full, orders them by number and joins those
 // that are neighbors in the file into runs: particles that are numbered along space make long ones. Runs may come in any
 // order, because the CRC of an array is the XOR of what each piece adds to it (crcShare); nothing is read back.
-#include "io/npz_direct.h"
+#include "io/npz_stream.h"
 
 #include "io/npz_parts.h"
 #include "io/output_file.h"
@@ -351,9 +351,8 @@ void writeNpzRowsDirect(const std::string& path, const NpzRowSource& source, Lis
     file.commit();
 }
 
-void writeNpzDirect(const std::string& path, SearchEngine& engine, const NeighborLists& counts,
-                    ListValues values, const OutputOptions& output, std::uint64_t bufferBytes,
-                    const SearchOptions& options)
+void streamNpz(const std::string& path, SearchEngine& engine, const NeighborLists& counts, ListValues values,
+               const OutputOptions& output, std::uint64_t bufferBytes, const SearchOptions& options)
 {
     requireKnown(values, ListValues::kDistance, "kind of values");
     const auto threads = static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());

@@ -1,4 +1,4 @@
-// The search of the part methods, over a PartStructure: for each cell's queries, or each slab's of a sparse leaf, gather the
+// The search of the part methods, over a AblationStructure: for each cell's queries, or each slab's of a sparse leaf, gather the
 // candidates near them once, then test every query against those. One template, so that methods differ in one thing at
 // a time: the frame of the coordinates, or what is done with the hits.
 //
@@ -8,7 +8,7 @@
 // but are moved only once, by 2^-22: 2^-21 in all, as there.
 #pragma once
 
-#include "bench/methods/part_halo-inl.h"
+#include "bench/methods/ablation_halo-inl.h"
 #include "bench/methods/row_method.h"
 #include "verify/point_cells.h"
 
@@ -17,27 +17,29 @@
 
 namespace vdb_nns::cli {
 
-enum class PartTest {
+enum class AblationTest {
     kFilter,    ///< the computed square decides
     kCertified, ///< pairs near the radius are decided exactly
     kSampled,   ///< candidates are drawn
     kNearest    ///< the nearest ones are kept
 };
 
-struct PartSettings {
+struct AblationSettings {
     SimdLevel simd = SimdLevel::kBest;
     std::uint32_t sampleMost = 0xffffffffu; ///< kSampled: see CandidateSample
     std::uint32_t nearest = 0;              ///< kNearest
 };
 
 /// One thread's memory.
-template <PartFrame kFrame>
-struct PartScratch {
+template <AblationFrame kFrame>
+struct AblationScratch {
     using Real = FrameReal<kFrame>;
 
-    PartScratch(const PartStructure<kFrame>& structure, RowPool& pool) : halo(structure), rows(pool) {}
+    AblationScratch(const AblationStructure<kFrame>& structure, RowPool& pool) : halo(structure), rows(pool)
+    {
+    }
 
-    PartHalo<kFrame> halo;
+    AblationHalo<kFrame> halo;
     RowWriter rows;
     CandidateMemory<Real> kept;
     std::vector<CandidateRun> runs = std::vector<CandidateRun>(49);
@@ -46,51 +48,51 @@ struct PartScratch {
     std::vector<std::uint64_t> keys;
 };
 
-template <PartFrame kFrame, PartTest kTest>
-class PartSearch {
+template <AblationFrame kFrame, AblationTest kTest>
+class AblationSearch {
 public:
     using Real = FrameReal<kFrame>;
 
     /// @param judge kCertified
-    PartSearch(const PartStructure<kFrame>& structure, const PairLimits<Real>& limits,
-               const PartSettings& settings, const PairJudge& judge)
+    AblationSearch(const AblationStructure<kFrame>& structure, const PairLimits<Real>& limits,
+                   const AblationSettings& settings, const PairJudge& judge)
         : mStructure(structure),
           mLimits(limits),
           mSettings(settings),
-          mKernels(partKernels<Real>(settings.simd)),
+          mKernels(ablationKernels<Real>(settings.simd)),
           mJudge(judge)
     {
     }
 
-    void searchLeaf(std::uint32_t leaf, PartScratch<kFrame>& scratch) const;
+    void searchLeaf(std::uint32_t leaf, AblationScratch<kFrame>& scratch) const;
 
 private:
     // A leaf is sparse when it and its halo hold no more particles: then a table of cells costs more than it saves.
     static constexpr std::uint32_t kSparseMost = 512;
 
-    void searchCells(const PartLeaf& leaf, PartScratch<kFrame>& scratch) const;
+    void searchCells(const AblationLeaf& leaf, AblationScratch<kFrame>& scratch) const;
     void searchGroup(std::uint32_t begin, std::uint32_t end, std::uint32_t runCount,
-                     PartScratch<kFrame>& scratch) const;
+                     AblationScratch<kFrame>& scratch) const;
     QueryBox<Real> boxOf(std::uint32_t begin, std::uint32_t end) const;
     void writeRow(const QueryPoint<Real>& query, const CandidateArrays<Real>& kept, std::uint32_t count,
-                  PartScratch<kFrame>& scratch) const;
+                  AblationScratch<kFrame>& scratch) const;
     std::uint32_t decide(const QueryPoint<Real>& query, const CandidateArrays<Real>& kept,
                          std::uint32_t count, std::uint32_t* numbers) const;
     void writeNearest(const QueryPoint<Real>& query, const CandidateArrays<Real>& kept, std::uint32_t count,
-                      PartScratch<kFrame>& scratch) const;
+                      AblationScratch<kFrame>& scratch) const;
 
-    const PartStructure<kFrame>& mStructure;
+    const AblationStructure<kFrame>& mStructure;
     const PairLimits<Real> mLimits;
-    const PartSettings mSettings;
-    const PartKernels<Real> mKernels;
+    const AblationSettings mSettings;
+    const AblationKernels<Real> mKernels;
     const PairJudge& mJudge;
 };
 
-template <PartFrame kFrame, PartTest kTest>
-void PartSearch<kFrame, kTest>::searchLeaf(std::uint32_t index, PartScratch<kFrame>& scratch) const
+template <AblationFrame kFrame, AblationTest kTest>
+void AblationSearch<kFrame, kTest>::searchLeaf(std::uint32_t index, AblationScratch<kFrame>& scratch) const
 {
-    const PartLeaf& leaf = mStructure.leaves[index];
-    PartHalo<kFrame>& halo = scratch.halo;
+    const AblationLeaf& leaf = mStructure.leaves[index];
+    AblationHalo<kFrame>& halo = scratch.halo;
     if (leaf.endSlot - leaf.firstSlot > kSparseMost || !halo.template fill<false>(index, kSparseMost)) {
         halo.template fill<true>(index, ~std::uint64_t(0));
         return searchCells(leaf, scratch);
@@ -103,8 +105,9 @@ void PartSearch<kFrame, kTest>::searchLeaf(std::uint32_t index, PartScratch<kFra
     }
 }
 
-template <PartFrame kFrame, PartTest kTest>
-void PartSearch<kFrame, kTest>::searchCells(const PartLeaf& leaf, PartScratch<kFrame>& scratch) const
+template <AblationFrame kFrame, AblationTest kTest>
+void AblationSearch<kFrame, kTest>::searchCells(const AblationLeaf& leaf,
+                                                AblationScratch<kFrame>& scratch) const
 {
     const int reach = mStructure.reach;
     for (int x = 0; x < 8; ++x) {
@@ -124,8 +127,8 @@ void PartSearch<kFrame, kTest>::searchCells(const PartLeaf& leaf, PartScratch<kF
     }
 }
 
-template <PartFrame kFrame, PartTest kTest>
-QueryBox<FrameReal<kFrame>> PartSearch<kFrame, kTest>::boxOf(std::uint32_t begin, std::uint32_t end) const
+template <AblationFrame kFrame, AblationTest kTest>
+QueryBox<FrameReal<kFrame>> AblationSearch<kFrame, kTest>::boxOf(std::uint32_t begin, std::uint32_t end) const
 {
     const Real* const axes[3] = {mStructure.x.data(), mStructure.y.data(), mStructure.z.data()};
     QueryBox<Real> box;
@@ -144,22 +147,24 @@ QueryBox<FrameReal<kFrame>> PartSearch<kFrame, kTest>::boxOf(std::uint32_t begin
     return box;
 }
 
-template <PartFrame kFrame, PartTest kTest>
-void PartSearch<kFrame, kTest>::searchGroup(std::uint32_t begin, std::uint32_t end, std::uint32_t runCount,
-                                            PartScratch<kFrame>& scratch) const
+template <AblationFrame kFrame, AblationTest kTest>
+void AblationSearch<kFrame, kTest>::searchGroup(std::uint32_t begin, std::uint32_t end,
+                                                std::uint32_t runCount,
+                                                AblationScratch<kFrame>& scratch) const
 {
     std::size_t most = 0;
     for (std::uint32_t r = 0; r < runCount; ++r) most += scratch.runs[r].end - scratch.runs[r].begin;
     scratch.kept.reserve(most);
     const CandidateArrays<Real> kept = scratch.kept.arrays();
     CandidateSample sample;
-    if (kTest == PartTest::kSampled) sample = {sampleHash(begin, 0x2545f491u), mSettings.sampleMost};
-    const GatherFunction<Real> gather = kTest == PartTest::kSampled ? mKernels.gatherSample : mKernels.gather;
+    if (kTest == AblationTest::kSampled) sample = {sampleHash(begin, 0x2545f491u), mSettings.sampleMost};
+    const GatherFunction<Real> gather =
+        kTest == AblationTest::kSampled ? mKernels.gatherSample : mKernels.gather;
     const std::uint32_t count =
         gather(scratch.halo.candidates(), scratch.runs.data(), runCount, boxOf(begin, end), sample, kept);
     for (std::uint32_t s = begin; s < end; ++s) {
         const QueryPoint<Real> query{mStructure.x[s], mStructure.y[s], mStructure.z[s], mStructure.number[s]};
-        if constexpr (kTest == PartTest::kNearest) {
+        if constexpr (kTest == AblationTest::kNearest) {
             writeNearest(query, kept, count, scratch);
         } else {
             writeRow(query, kept, count, scratch);
@@ -167,12 +172,12 @@ void PartSearch<kFrame, kTest>::searchGroup(std::uint32_t begin, std::uint32_t e
     }
 }
 
-template <PartFrame kFrame, PartTest kTest>
-void PartSearch<kFrame, kTest>::writeRow(const QueryPoint<Real>& query, const CandidateArrays<Real>& kept,
-                                         std::uint32_t count, PartScratch<kFrame>& scratch) const
+template <AblationFrame kFrame, AblationTest kTest>
+void AblationSearch<kFrame, kTest>::writeRow(const QueryPoint<Real>& query, const CandidateArrays<Real>& kept,
+                                             std::uint32_t count, AblationScratch<kFrame>& scratch) const
 {
     std::uint32_t* const row = scratch.rows.reserve(std::size_t(count) + kVectorSlack);
-    const bool certified = kTest == PartTest::kCertified;
+    const bool certified = kTest == AblationTest::kCertified;
     const TestFunction<Real> test = certified ? mKernels.testBand : mKernels.test;
     QueryHits hits = test(kept, count, query, mLimits, row, nullptr);
     if (certified && hits.doubtful) hits.count = decide(query, kept, count, row);
@@ -180,10 +185,10 @@ void PartSearch<kFrame, kTest>::writeRow(const QueryPoint<Real>& query, const Ca
 }
 
 // Rare: the row once more, pair by pair.
-template <PartFrame kFrame, PartTest kTest>
-std::uint32_t PartSearch<kFrame, kTest>::decide(const QueryPoint<Real>& query,
-                                                const CandidateArrays<Real>& kept, std::uint32_t count,
-                                                std::uint32_t* numbers) const
+template <AblationFrame kFrame, AblationTest kTest>
+std::uint32_t AblationSearch<kFrame, kTest>::decide(const QueryPoint<Real>& query,
+                                                    const CandidateArrays<Real>& kept, std::uint32_t count,
+                                                    std::uint32_t* numbers) const
 {
     std::uint32_t hits = 0;
     for (std::uint32_t i = 0; i < count; ++i) {
@@ -196,9 +201,10 @@ std::uint32_t PartSearch<kFrame, kTest>::decide(const QueryPoint<Real>& query,
     return hits;
 }
 
-template <PartFrame kFrame, PartTest kTest>
-void PartSearch<kFrame, kTest>::writeNearest(const QueryPoint<Real>& query, const CandidateArrays<Real>& kept,
-                                             std::uint32_t count, PartScratch<kFrame>& scratch) const
+template <AblationFrame kFrame, AblationTest kTest>
+void AblationSearch<kFrame, kTest>::writeNearest(const QueryPoint<Real>& query,
+                                                 const CandidateArrays<Real>& kept, std::uint32_t count,
+                                                 AblationScratch<kFrame>& scratch) const
 {
     if (scratch.numbers.size() < count + kVectorSlack) {
         scratch.numbers.resize(2 * std::size_t(count) + kVectorSlack);
@@ -213,7 +219,7 @@ void PartSearch<kFrame, kTest>::writeNearest(const QueryPoint<Real>& query, cons
         std::uint64_t* const keys = scratch.keys.data();
         for (std::uint32_t i = 0; i < hits; ++i) {
             std::uint32_t bits;
-            static_assert(sizeof(Real) == sizeof bits || kTest != PartTest::kNearest);
+            static_assert(sizeof(Real) == sizeof bits || kTest != AblationTest::kNearest);
             std::memcpy(&bits, &scratch.squares[i], sizeof bits);
             keys[i] = std::uint64_t(bits) << 32 | numbers[i];
         }

@@ -1,4 +1,4 @@
-// One cell of `bench --stability`: a method on a case, in a process of its own that may die, hang or run out of memory.
+// One trial of `bench --stability`: a method on a case, in a process of its own that may die, hang or run out of memory.
 #pragma once
 
 #include "bench/method_names.h"
@@ -25,14 +25,14 @@ enum class Verdict {
 /// exact, wrong, refused, crash, hang, memory, skipped.
 const char* verdictName(Verdict verdict);
 
-struct CellLimits {
+struct TrialLimits {
     double seconds = 120; ///< of each run, by the clock: room for a busy machine
     std::uint64_t bytes = std::uint64_t(4)
                           << 30; ///< of address space, beyond what the process has and its threads' stacks
     int threads = 0;             ///< 0: all
 };
 
-struct StabilityCell {
+struct StabilityTrial {
     std::string caseName, group, what, method;
     Verdict verdict = Verdict::kSkipped;
     std::uint64_t missing = 0, extra = 0, duplicates = 0; ///< ordered pairs, of all runs together
@@ -51,7 +51,7 @@ using MethodMaker = std::function<std::unique_ptr<Method>(const MethodSpec&, con
 /// @param make makeMethod(), or a double of a test
 /// @throws Cancelled once SIGINT or SIGTERM came, with the child gone
 /// @throws std::runtime_error where the case itself fails, and in a process that has started threads
-StabilityCell runCell(const StabilityCase& stabilityCase, const MethodSpec& spec, const CellLimits& limits,
-                      const MethodMaker& make = makeMethod);
+StabilityTrial runTrial(const StabilityCase& stabilityCase, const MethodSpec& spec, const TrialLimits& limits,
+                        const MethodMaker& make = makeMethod);
 
 } // namespace vdb_nns::cli

@@ -1,4 +1,4 @@
-#include "bench/methods/part_kernels.h"
+#include "bench/methods/ablation_kernels.h"
 
 #include "vdb_nns/search.h"
 
@@ -6,7 +6,7 @@
 #include <cmath>
 
 #if defined(__x86_64__)
-#include "bench/methods/part_lanes-inl.h"
+#include "bench/methods/ablation_lanes-inl.h"
 #endif
 
 namespace vdb_nns::cli {
@@ -61,7 +61,7 @@ QueryHits testScalar(const CandidateArrays<Real>& candidates, std::uint32_t coun
 }
 
 template <typename Real>
-PartKernels<Real> scalarKernels()
+AblationKernels<Real> scalarKernels()
 {
     return {gatherScalar<Real, false>, gatherScalar<Real, true>, testScalar<Real, TestKind::kPlain>,
             testScalar<Real, TestKind::kBand>, testScalar<Real, TestKind::kSquares>};
@@ -141,7 +141,7 @@ VDB_NNS_AVX2 QueryHits testAvx2(const CandidateArrays<Real>& candidates, std::ui
 }
 
 template <typename Real>
-PartKernels<Real> avx2Kernels()
+AblationKernels<Real> avx2Kernels()
 {
     return {gatherAvx2<Real, false>, gatherAvx2<Real, true>, testAvx2<Real, TestKind::kPlain>,
             testAvx2<Real, TestKind::kBand>, testAvx2<Real, TestKind::kSquares>};
@@ -152,7 +152,7 @@ PartKernels<Real> avx2Kernels()
 } // namespace
 
 template <typename Real>
-PartKernels<Real> partKernels(SimdLevel simd)
+AblationKernels<Real> ablationKernels(SimdLevel simd)
 {
     const SimdLevel best = bestSimdLevel();
     const SimdLevel level = simd == SimdLevel::kBest ? best : std::min(simd, best);
@@ -163,7 +163,7 @@ PartKernels<Real> partKernels(SimdLevel simd)
     return scalarKernels<Real>();
 }
 
-template PartKernels<float> partKernels(SimdLevel);
-template PartKernels<double> partKernels(SimdLevel);
+template AblationKernels<float> ablationKernels(SimdLevel);
+template AblationKernels<double> ablationKernels(SimdLevel);
 
 } // namespace vdb_nns::cli

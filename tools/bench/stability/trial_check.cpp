@@ -1,4 +1,4 @@
-#include "bench/stability/cell_check.h"
+#include "bench/stability/trial_check.h"
 
 #include "bench/accuracy.h"
 #include "bench/truth.h"
@@ -31,14 +31,14 @@ std::uint64_t knownCount(KnownRows known, std::uint64_t particles)
     return known == KnownRows::kAllOthers ? particles - 1 : known == KnownRows::kTwin ? 1 : 0;
 }
 
-void compareCounts(std::uint64_t found, std::uint64_t expected, CellCheck& check)
+void compareCounts(std::uint64_t found, std::uint64_t expected, TrialCheck& check)
 {
     check.missing += expected - std::min(expected, found);
     check.extra += found - std::min(expected, found);
 }
 
 void compareRows(std::vector<std::uint32_t>& found, const std::vector<std::uint32_t>& expected,
-                 CellCheck& check)
+                 TrialCheck& check)
 {
     std::sort(found.begin(), found.end());
     const auto unique = std::unique(found.begin(), found.end());
@@ -52,7 +52,7 @@ void compareRows(std::vector<std::uint32_t>& found, const std::vector<std::uint3
 }
 
 // Every row where that is little, else some at equal distances; of the other queries the counts.
-void checkKnown(const FoundNeighbors& found, std::uint32_t particles, KnownRows known, CellCheck& check)
+void checkKnown(const FoundNeighbors& found, std::uint32_t particles, KnownRows known, TrialCheck& check)
 {
     if (particles == 0) return;
     const std::uint64_t expected = knownCount(known, particles);
@@ -72,7 +72,7 @@ void checkKnown(const FoundNeighbors& found, std::uint32_t particles, KnownRows 
 
 // The sum of all pairs, and whether all of them are of particles.
 void sumPairs(const FoundNeighbors& found, std::uint32_t particles, const std::vector<std::uint32_t>& order,
-              CellCheck& check)
+              TrialCheck& check)
 {
     const auto numberOf = [&order](std::uint32_t i) {
         return static_cast<std::uint64_t>(order.empty() ? i : order[i]);
@@ -102,10 +102,10 @@ void sumPairs(const FoundNeighbors& found, std::uint32_t particles, const std::v
 
 } // namespace
 
-CellCheck checkFound(const FoundNeighbors& found, const CaseParticles& particles,
-                     const std::vector<std::uint32_t>& order)
+TrialCheck checkFound(const FoundNeighbors& found, const CaseParticles& particles,
+                      const std::vector<std::uint32_t>& order)
 {
-    CellCheck check;
+    TrialCheck check;
     const auto count = static_cast<std::uint32_t>(particles.view.size());
     if (particles.known != KnownRows::kUnknown) {
         checkKnown(found, count, particles.known, check);

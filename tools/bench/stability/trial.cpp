@@ -1,6 +1,6 @@
-#include "bench/stability/cell.h"
+#include "bench/stability/trial.h"
 
-#include "bench/stability/cell_work.h"
+#include "bench/stability/trial_work.h"
 #include "machine.h"
 #include "progress_printer.h"
 #include "report.h"
@@ -53,7 +53,7 @@ void requireNoWorkers()
     const int more = threadsOfProcess() - kThreadsAtLoad;
     if (more <= 0) return;
     throw std::runtime_error("bench --stability: this process has started " + std::to_string(more) +
-                             " threads already, and cells are forked before anything runs in parallel");
+                             " threads already, and trials are forked before anything runs in parallel");
 }
 
 class SharedRecord {
@@ -61,23 +61,23 @@ public:
     SharedRecord()
     {
         void* const memory =
-            mmap(nullptr, sizeof(CellRecord), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+            mmap(nullptr, sizeof(TrialRecord), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
         if (memory == MAP_FAILED) failSystem("mmap");
-        mRecord = new (memory) CellRecord;
+        mRecord = new (memory) TrialRecord;
     }
-    ~SharedRecord() { munmap(mRecord, sizeof(CellRecord)); }
+    ~SharedRecord() { munmap(mRecord, sizeof(TrialRecord)); }
     SharedRecord(const SharedRecord&) = delete;
     SharedRecord& operator=(const SharedRecord&) = delete;
 
-    CellRecord& operator*() const { return *mRecord; }
+    TrialRecord& operator*() const { return *mRecord; }
 
 private:
-    CellRecord* mRecord;
+    TrialRecord* mRecord;
 };
 
 // ---- the child ---------------------------------------------------------------------------------------------------------
 
-void setDefaults(const CellLimits& limits, int errors)
+void setDefaults(const TrialLimits& limits, int errors)
 {
     prctl(PR_SET_PDEATHSIG, SIGKILL); // nobody is left who would end it
     for (int number = 1; number < NSIG; ++number) std::signal(number, SIG_DFL);
@@ -96,15 +96,15 @@ void setDefaults(const CellLimits& limits, int errors)
 }
 
 [[noreturn]] void beChild(const StabilityCase& stabilityCase, const MethodSpec& spec,
-                          const CellLimits& limits, const MethodMaker& make, int errors, CellRecord& record)
+                          const TrialLimits& limits, const MethodMaker& make, int errors, TrialRecord& record)
 {
     setDefaults(limits, errors);
     try {
-        doCell(stabilityCase, spec, limits, make, record);
-        record.enter(CellPhase::kDone);
+        doTrial(stabilityCase, spec, limits, make, record);
+        record.enter(TrialPhase::kDone);
     } catch (const std::exception& e) {
         record.say(e.what());
-        record.enter(CellPhase::kFailed);
+        record.enter(TrialPhase::kFailed);
     }
     _exit(0);
 }
@@ -204,36 +204,36 @@ std::string signalName(int number)
 }
 
 // Whether it is the method that died, and not the case.
-bool isOfMethod(CellPhase phase)
+bool isOfMethod(TrialPhase phase)
 {
-    return phase == CellPhase::kRun || phase == CellPhase::kCheck;
+    return phase == TrialPhase::kRun || phase == TrialPhase::kCheck;
 }
 
-void describeDeath(Child& child, CellPhase phase, StabilityCell& cell)
+void describeDeath(Child& child, TrialPhase phase, StabilityTrial& trial)
 {
     const int status = child.status();
     const std::string said = child.lastLine();
     if (WIFSIGNALED(status)) {
         const int number = WTERMSIG(status);
-        cell.verdict = number == SIGKILL
-                           ? Verdict::kMemory // the kernel's own way out; ours is told apart before
-                       : number == SIGXCPU ? Verdict::kHang
-                                           : Verdict::kCrash;
-        cell.message = signalName(number);
+        trial.verdict = number == SIGKILL
+                            ? Verdict::kMemory // the kernel's own way out; ours is told apart before
+                        : number == SIGXCPU ? Verdict::kHang
+                                            : Verdict::kCrash;
+        trial.message = signalName(number);
     } else {
-        cell.verdict = Verdict::kCrash;
-        cell.message = "ended the program with status " + std::to_string(WEXITSTATUS(status));
+        trial.verdict = Verdict::kCrash;
+        trial.message = "ended the program with status " + std::to_string(WEXITSTATUS(status));
     }
-    if (phase == CellPhase::kCheck) cell.message += ", while its result was read";
-    if (!said.empty()) cell.message += ": " + said;
+    if (phase == TrialPhase::kCheck) trial.message += ", while its result was read";
+    if (!said.empty()) trial.message += ": " + said;
 }
 
 // Until the child ends; whether it had to be killed.
-bool waitFor(Child& child, const CellRecord& record, const CellLimits& limits)
+bool waitFor(Child& child, const TrialRecord& record, const TrialLimits& limits)
 {
     while (!child.wait()) {
         throwIfStopped();
-        const double allowed = record.phase == CellPhase::kRun ? limits.seconds : kOtherSeconds;
+        const double allowed = record.phase == TrialPhase::kRun ? limits.seconds : kOtherSeconds;
         if (monotonicSeconds() - record.phaseBegan <= allowed) continue;
         child.kill();
         return true;
@@ -242,28 +242,28 @@ bool waitFor(Child& child, const CellRecord& record, const CellLimits& limits)
     return false;
 }
 
-void takeResult(const CellRecord& record, StabilityCell& cell)
+void takeResult(const TrialRecord& record, StabilityTrial& trial)
 {
-    cell.verdict = record.verdict;
-    cell.missing = record.missing;
-    cell.extra = record.extra;
-    cell.duplicates = record.duplicates;
-    if (record.hasAsymmetric) cell.asymmetric = record.asymmetric;
-    cell.seconds = record.seconds;
-    cell.peakBytes = record.peakBytes;
-    cell.message = record.message;
+    trial.verdict = record.verdict;
+    trial.missing = record.missing;
+    trial.extra = record.extra;
+    trial.duplicates = record.duplicates;
+    if (record.hasAsymmetric) trial.asymmetric = record.asymmetric;
+    trial.seconds = record.seconds;
+    trial.peakBytes = record.peakBytes;
+    trial.message = record.message;
 }
 
-StabilityCell describe(const StabilityCase& stabilityCase, const MethodSpec& spec)
+StabilityTrial describe(const StabilityCase& stabilityCase, const MethodSpec& spec)
 {
-    StabilityCell cell;
-    cell.caseName = stabilityCase.name;
-    cell.group = stabilityCase.group;
-    cell.what = stabilityCase.what;
-    cell.method = spec.name;
-    cell.isExact = spec.isExact();
-    cell.right = stabilityCase.rightOutcome(spec);
-    return cell;
+    StabilityTrial trial;
+    trial.caseName = stabilityCase.name;
+    trial.group = stabilityCase.group;
+    trial.what = stabilityCase.what;
+    trial.method = spec.name;
+    trial.isExact = spec.isExact();
+    trial.right = stabilityCase.rightOutcome(spec);
+    return trial;
 }
 
 } // namespace
@@ -289,14 +289,14 @@ const char* verdictName(Verdict verdict)
     return "skipped";
 }
 
-StabilityCell runCell(const StabilityCase& stabilityCase, const MethodSpec& spec, const CellLimits& limits,
-                      const MethodMaker& make)
+StabilityTrial runTrial(const StabilityCase& stabilityCase, const MethodSpec& spec, const TrialLimits& limits,
+                        const MethodMaker& make)
 {
     throwIfStopped();
     requireNoWorkers();
     const SharedRecord shared;
-    CellRecord& record = *shared;
-    record.enter(CellPhase::kMake);
+    TrialRecord& record = *shared;
+    record.enter(TrialPhase::kMake);
     int errors[2];
     if (pipe2(errors, O_CLOEXEC) != 0) failSystem("pipe");
     const pid_t pid = fork();
@@ -306,29 +306,29 @@ StabilityCell runCell(const StabilityCase& stabilityCase, const MethodSpec& spec
     Child child(pid, errors[0]);
     const bool isKilled = waitFor(child, record, limits);
 
-    StabilityCell cell = describe(stabilityCase, spec);
-    const CellPhase phase = record.phase;
-    const bool isDone = phase == CellPhase::kDone || phase == CellPhase::kFailed;
-    if (phase == CellPhase::kFailed || (!isDone && !isOfMethod(phase))) {
+    StabilityTrial trial = describe(stabilityCase, spec);
+    const TrialPhase phase = record.phase;
+    const bool isDone = phase == TrialPhase::kDone || phase == TrialPhase::kFailed;
+    if (phase == TrialPhase::kFailed || (!isDone && !isOfMethod(phase))) {
         const std::string said = *record.message ? record.message : child.lastLine();
         throw std::runtime_error("bench --stability: the case " + stabilityCase.name + " with " + spec.name +
                                  " failed by itself: " + said);
     }
-    takeResult(record, cell);
-    cell.isClear = cell.message.find(stabilityCase.refusalSays) != std::string::npos;
-    if (isDone && !isKilled) return cell;
-    if (phase == CellPhase::kRun) cell.seconds += monotonicSeconds() - record.phaseBegan;
-    cell.peakBytes =
-        std::max(cell.peakBytes, child.peakBytes() - std::min(child.peakBytes(), record.bytesBefore));
+    takeResult(record, trial);
+    trial.isClear = trial.message.find(stabilityCase.refusalSays) != std::string::npos;
+    if (isDone && !isKilled) return trial;
+    if (phase == TrialPhase::kRun) trial.seconds += monotonicSeconds() - record.phaseBegan;
+    trial.peakBytes =
+        std::max(trial.peakBytes, child.peakBytes() - std::min(child.peakBytes(), record.bytesBefore));
     if (isKilled) {
-        cell.verdict = Verdict::kHang;
-        cell.message =
-            format("stopped after %.3g seconds", phase == CellPhase::kRun ? limits.seconds : kOtherSeconds);
-        if (phase == CellPhase::kCheck) cell.message += ", while its result was read";
+        trial.verdict = Verdict::kHang;
+        trial.message =
+            format("stopped after %.3g seconds", phase == TrialPhase::kRun ? limits.seconds : kOtherSeconds);
+        if (phase == TrialPhase::kCheck) trial.message += ", while its result was read";
     } else {
-        describeDeath(child, phase, cell);
+        describeDeath(child, phase, trial);
     }
-    return cell;
+    return trial;
 }
 
 } // namespace vdb_nns::cli

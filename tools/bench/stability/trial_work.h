@@ -1,7 +1,7 @@
-// What the child process of a stability cell does, and how it tells its parent.
+// What the child process of a stability trial does, and how it tells its parent.
 #pragma once
 
-#include "bench/stability/cell.h"
+#include "bench/stability/trial.h"
 
 #include <atomic>
 #include <cstddef>
@@ -9,7 +9,7 @@
 
 namespace vdb_nns::cli {
 
-enum class CellPhase : int {
+enum class TrialPhase : int {
     kMake,  ///< particles, and what the condition asks to be known of them
     kRun,   ///< the method, under the limits
     kCheck, ///< truth and comparison
@@ -19,8 +19,8 @@ enum class CellPhase : int {
 
 /// Lies in memory that child and parent share, so that what is known outlives a child that dies. Plain but for what the parent
 /// reads meanwhile.
-struct CellRecord {
-    std::atomic<CellPhase> phase{CellPhase::kMake};
+struct TrialRecord {
+    std::atomic<TrialPhase> phase{TrialPhase::kMake};
     std::atomic<double> phaseBegan{0}; ///< by monotonicSeconds()
 
     Verdict verdict = Verdict::kExact;
@@ -32,7 +32,7 @@ struct CellRecord {
     static constexpr std::size_t kMessageBytes = 1000;
     char message[kMessageBytes] = {}; ///< cut to fit
 
-    void enter(CellPhase next);
+    void enter(TrialPhase next);
     void say(const std::string& text);
 };
 
@@ -40,7 +40,7 @@ struct CellRecord {
 double monotonicSeconds();
 
 /// Everything, in the calling process, whose address space is limited meanwhile.
-void doCell(const StabilityCase& stabilityCase, const MethodSpec& spec, const CellLimits& limits,
-            const MethodMaker& make, CellRecord& record);
+void doTrial(const StabilityCase& stabilityCase, const MethodSpec& spec, const TrialLimits& limits,
+             const MethodMaker& make, TrialRecord& record);
 
 } // namespace vdb_nns::cli

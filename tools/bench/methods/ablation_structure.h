@@ -11,29 +11,29 @@
 
 namespace vdb_nns::cli {
 
-enum class PartFrame {
+enum class AblationFrame {
     kLeafFloat,  ///< float, about the leaf's centre, in cells
     kWorldFloat, ///< float, world
     kWorldDouble ///< double, world
 };
 
-template <PartFrame kFrame>
-using FrameReal = std::conditional_t<kFrame == PartFrame::kWorldDouble, double, float>;
+template <AblationFrame kFrame>
+using FrameReal = std::conditional_t<kFrame == AblationFrame::kWorldDouble, double, float>;
 
-constexpr std::uint32_t kNoPartLeaf = 0xffffffffu;
+constexpr std::uint32_t kNoAblationLeaf = 0xffffffffu;
 
-struct PartLeaf {
+struct AblationLeaf {
     std::uint64_t occupancy[8]; ///< bit y * 8 + z of word x: the cell holds a particle
     std::uint32_t firstCell[8]; ///< place in cellStart of the first occupied cell of each word
     std::uint32_t firstSlot, endSlot;
 };
 
-/// Leaves around one, (dx, dy, dz) lexicographic; kNoPartLeaf where there is none.
-using PartNeighborhood = std::array<std::uint32_t, 27>;
+/// Leaves around one, (dx, dy, dz) lexicographic; kNoAblationLeaf where there is none.
+using AblationNeighborhood = std::array<std::uint32_t, 27>;
 
 /// Memory is kept when it is built anew.
-template <PartFrame kFrame>
-struct PartStructure {
+template <AblationFrame kFrame>
+struct AblationStructure {
     using Real = FrameReal<kFrame>;
 
     int reach = 1;
@@ -42,9 +42,9 @@ struct PartStructure {
     std::vector<Real> x, y, z; ///< by slot
     std::vector<std::uint32_t>
         number; ///< by slot; as the grid's, but for cells that lie at a face by rounding alone
-    std::vector<PartLeaf> leaves;
+    std::vector<AblationLeaf> leaves;
     std::vector<std::uint32_t> cellStart; ///< first slots of a leaf's occupied cells, then the leaf's end
-    std::vector<PartNeighborhood> neighborhoods;
+    std::vector<AblationNeighborhood> neighborhoods;
 
     /// @throws std::logic_error for a grid whose cells cannot be found
     void build(const SparseGrid& grid);
@@ -52,6 +52,6 @@ struct PartStructure {
 };
 
 /// The leaves around each leaf.
-void findNeighborhoods(const SparseGrid& grid, std::vector<PartNeighborhood>& neighborhoods);
+void findNeighborhoods(const SparseGrid& grid, std::vector<AblationNeighborhood>& neighborhoods);
 
 } // namespace vdb_nns::cli

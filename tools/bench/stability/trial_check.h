@@ -1,4 +1,4 @@
-// Whether what a method found in a stability cell is right.
+// Whether what a method found in a stability trial is right.
 #pragma once
 
 #include "bench/found_neighbors.h"
@@ -11,7 +11,7 @@
 
 namespace vdb_nns::cli {
 
-struct CellCheck {
+struct TrialCheck {
     std::uint64_t missing = 0, extra = 0, duplicates = 0;
     std::optional<std::uint64_t> asymmetric;
     std::uint64_t pairSum =
@@ -24,7 +24,7 @@ struct CellCheck {
 
 /// All rows and counts against the truth; where rows are known, all counts, and as many rows as take a second.
 /// @param order number of each particle in the order that the sum is made in; empty: as they are
-CellCheck checkFound(const FoundNeighbors& found, const CaseParticles& particles,
-                     const std::vector<std::uint32_t>& order);
+TrialCheck checkFound(const FoundNeighbors& found, const CaseParticles& particles,
+                      const std::vector<std::uint32_t>& order);
 
 } // namespace vdb_nns::cli

@@ -1,7 +1,7 @@
-#include "bench/methods/part_structure.h"
+#include "bench/methods/ablation_structure.h"
 
-#include "bench/methods/cell_frame.h"
-#include "bench/methods/part_kernels.h"
+#include "bench/methods/ablation_kernels.h"
+#include "bench/methods/candidate_frame.h"
 
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
@@ -21,10 +21,10 @@ struct Extent {
     bool inside = true;
 };
 
-template <PartFrame kFrame>
+template <AblationFrame kFrame>
 class StructureBuilder {
 public:
-    StructureBuilder(const SparseGrid& grid, const CellFrame& frame, PartStructure<kFrame>& out)
+    StructureBuilder(const SparseGrid& grid, const CellFrame& frame, AblationStructure<kFrame>& out)
         : mGrid(grid), mFrame(frame), mOut(out)
     {
     }
@@ -34,13 +34,13 @@ public:
         return tbb::parallel_reduce(
             tbb::blocked_range<std::uint64_t>(0, mGrid.leafCount()), Extent{},
             [this](const tbb::blocked_range<std::uint64_t>& range, Extent extent) {
-                std::vector<std::uint16_t> cellOf;
+                std::vector<std::uint16_t> trialOf;
                 for (std::uint64_t l = range.begin(); l < range.end() && extent.inside; ++l) {
                     const SparseGrid::Leaf leaf = mGrid.leaf(l);
-                    cellOf.resize(leaf.particleCount);
-                    readLeaf(leaf, cellOf.data(), extent);
-                    sortLeaf(leaf, cellOf);
-                    listCells(l, leaf, cellOf.data());
+                    trialOf.resize(leaf.particleCount);
+                    readLeaf(leaf, trialOf.data(), extent);
+                    sortLeaf(leaf, trialOf);
+                    listCells(l, leaf, trialOf.data());
                 }
                 return extent;
             },
@@ -54,7 +54,7 @@ public:
 private:
     using Real = FrameReal<kFrame>;
 
-    void readLeaf(const SparseGrid::Leaf& leaf, std::uint16_t* cellOf, Extent& extent) const
+    void readLeaf(const SparseGrid::Leaf& leaf, std::uint16_t* trialOf, Extent& extent) const
     {
         const ParticleView& view = mGrid.view();
         const CellFrame frame = mFrame;
@@ -70,9 +70,9 @@ private:
                 double& m = most[static_cast<std::size_t>(k)];
                 m = std::max(m, std::fabs(frame.fromReference(stored, k)));
             }
-            *cellOf++ = static_cast<std::uint16_t>(place.cell[0] << 6 | place.cell[1] << 3 | place.cell[2]);
+            *trialOf++ = static_cast<std::uint16_t>(place.cell[0] << 6 | place.cell[1] << 3 | place.cell[2]);
             Vec3d at{place.at[0] - 4, place.at[1] - 4, place.at[2] - 4};
-            if constexpr (kFrame != PartFrame::kLeafFloat) at = view.worldPosition(number);
+            if constexpr (kFrame != AblationFrame::kLeafFloat) at = view.worldPosition(number);
             mOut.x[s] = static_cast<Real>(at[0]);
             mOut.y[s] = static_cast<Real>(at[1]);
             mOut.z[s] = static_cast<Real>(at[2]);
@@ -83,13 +83,13 @@ private:
     }
 
     // The grid has sorted them; only where a rounding has put a particle into another cell is anything to be done.
-    void sortLeaf(const SparseGrid::Leaf& leaf, std::vector<std::uint16_t>& cellOf) const
+    void sortLeaf(const SparseGrid::Leaf& leaf, std::vector<std::uint16_t>& trialOf) const
     {
-        if (std::is_sorted(cellOf.begin(), cellOf.end())) return;
-        std::vector<std::uint32_t> order(cellOf.size());
+        if (std::is_sorted(trialOf.begin(), trialOf.end())) return;
+        std::vector<std::uint32_t> order(trialOf.size());
         std::iota(order.begin(), order.end(), 0u);
         std::stable_sort(order.begin(), order.end(),
-                         [&](std::uint32_t a, std::uint32_t b) { return cellOf[a] < cellOf[b]; });
+                         [&](std::uint32_t a, std::uint32_t b) { return trialOf[a] < trialOf[b]; });
         const auto permute = [&order](auto* values) {
             std::vector<std::decay_t<decltype(*values)>> old(values, values + order.size());
             for (std::size_t i = 0; i < order.size(); ++i) values[i] = old[order[i]];
@@ -98,12 +98,12 @@ private:
         permute(mOut.y.data() + leaf.firstSlot);
         permute(mOut.z.data() + leaf.firstSlot);
         permute(mOut.number.data() + leaf.firstSlot);
-        permute(cellOf.data());
+        permute(trialOf.data());
     }
 
-    void listCells(std::uint64_t index, const SparseGrid::Leaf& leaf, const std::uint16_t* cellOf) const
+    void listCells(std::uint64_t index, const SparseGrid::Leaf& leaf, const std::uint16_t* trialOf) const
     {
-        PartLeaf& out = mOut.leaves[index];
+        AblationLeaf& out = mOut.leaves[index];
         out.firstSlot = static_cast<std::uint32_t>(leaf.firstSlot);
         out.endSlot = static_cast<std::uint32_t>(leaf.firstSlot + leaf.particleCount);
         std::fill_n(out.occupancy, 8, 0);
@@ -111,10 +111,10 @@ private:
         std::uint32_t cell = static_cast<std::uint32_t>(out.firstSlot + index);
         int word = 0;
         out.firstCell[0] = cell;
-        for (std::uint32_t s = out.firstSlot; s < out.endSlot; ++s, ++cellOf) {
-            if (s > out.firstSlot && *cellOf == cellOf[-1]) continue;
-            while (word < *cellOf >> 6) out.firstCell[++word] = cell;
-            out.occupancy[word] |= std::uint64_t(1) << (*cellOf & 63);
+        for (std::uint32_t s = out.firstSlot; s < out.endSlot; ++s, ++trialOf) {
+            if (s > out.firstSlot && *trialOf == trialOf[-1]) continue;
+            while (word < *trialOf >> 6) out.firstCell[++word] = cell;
+            out.occupancy[word] |= std::uint64_t(1) << (*trialOf & 63);
             mOut.cellStart[cell++] = s;
         }
         while (word < 7) out.firstCell[++word] = cell;
@@ -123,13 +123,13 @@ private:
 
     const SparseGrid& mGrid;
     const CellFrame& mFrame;
-    PartStructure<kFrame>& mOut;
+    AblationStructure<kFrame>& mOut;
 };
 
 } // namespace
 
-template <PartFrame kFrame>
-void PartStructure<kFrame>::build(const SparseGrid& grid)
+template <AblationFrame kFrame>
+void AblationStructure<kFrame>::build(const SparseGrid& grid)
 {
     reach = grid.reach();
     const std::size_t particles = grid.particleCount();
@@ -149,16 +149,16 @@ void PartStructure<kFrame>::build(const SparseGrid& grid)
     findNeighborhoods(grid, neighborhoods);
 }
 
-template <PartFrame kFrame>
-std::uint64_t PartStructure<kFrame>::bytes() const
+template <AblationFrame kFrame>
+std::uint64_t AblationStructure<kFrame>::bytes() const
 {
     return 3 * x.size() * sizeof(Real) + (number.size() + cellStart.size()) * sizeof(std::uint32_t) +
-           leaves.size() * (sizeof(PartLeaf) + sizeof(PartNeighborhood));
+           leaves.size() * (sizeof(AblationLeaf) + sizeof(AblationNeighborhood));
 }
 
-template struct PartStructure<PartFrame::kLeafFloat>;
-template struct PartStructure<PartFrame::kWorldFloat>;
-template struct PartStructure<PartFrame::kWorldDouble>;
+template struct AblationStructure<AblationFrame::kLeafFloat>;
+template struct AblationStructure<AblationFrame::kWorldFloat>;
+template struct AblationStructure<AblationFrame::kWorldDouble>;
 
 namespace {
 
@@ -172,7 +172,7 @@ struct PlacedLeaf {
 // In lexicographic order the leaves of a column follow each other, and the columns around a leaf are passed in the same
 // order as the leaves: a pointer to each only moves on.
 void findAround(const std::vector<PlacedLeaf>& sorted, std::size_t begin, std::size_t end,
-                std::vector<PartNeighborhood>& out)
+                std::vector<AblationNeighborhood>& out)
 {
     const PlacedLeaf* const last = sorted.data() + sorted.size();
     const PlacedLeaf* column[9];
@@ -183,8 +183,8 @@ void findAround(const std::vector<PlacedLeaf>& sorted, std::size_t begin, std::s
         column[c] = std::lower_bound(sorted.data(), last, below(sorted[begin], c));
     }
     for (std::size_t i = begin; i < end; ++i) {
-        PartNeighborhood& around = out[sorted[i].index];
-        around.fill(kNoPartLeaf);
+        AblationNeighborhood& around = out[sorted[i].index];
+        around.fill(kNoAblationLeaf);
         for (int c = 0; c < 9; ++c) {
             const PlacedLeaf wanted = below(sorted[i], c);
             while (column[c] < last && *column[c] < wanted) ++column[c];
@@ -200,7 +200,7 @@ void findAround(const std::vector<PlacedLeaf>& sorted, std::size_t begin, std::s
 
 } // namespace
 
-void findNeighborhoods(const SparseGrid& grid, std::vector<PartNeighborhood>& neighborhoods)
+void findNeighborhoods(const SparseGrid& grid, std::vector<AblationNeighborhood>& neighborhoods)
 {
     std::vector<PlacedLeaf> sorted(grid.leafCount());
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, sorted.size(), 4096), [&](const auto& range) {

@@ -2,8 +2,8 @@
 // so that the cells that a column of candidates passes stand one after the other.
 #pragma once
 
-#include "bench/methods/part_kernels.h"
-#include "bench/methods/part_structure.h"
+#include "bench/methods/ablation_kernels.h"
+#include "bench/methods/ablation_structure.h"
 
 #include <cstdint>
 #include <vector>
@@ -33,13 +33,13 @@ private:
     std::vector<std::uint32_t> mNumbers;
 };
 
-template <PartFrame kFrame>
-class PartHalo {
+template <AblationFrame kFrame>
+class AblationHalo {
 public:
     using Real = FrameReal<kFrame>;
     static constexpr int kMostReach = 3, kMostSide = 8 + 2 * kMostReach;
 
-    explicit PartHalo(const PartStructure<kFrame>& structure) : mStructure(structure) {}
+    explicit AblationHalo(const AblationStructure<kFrame>& structure) : mStructure(structure) {}
 
     /// Takes up the leaf, with the start of every cell of the cube of leaf and halo if kTable. False, and nothing of use
     /// done, when there are more than `most` candidates.
@@ -62,27 +62,27 @@ public:
 private:
     // A row of cells along z in leaf and halo.
     struct Row {
-        const PartLeaf* leaf[3]; // null: none
-        std::uint64_t words[3];  // occupied cells in reach, of the rows of one x
+        const AblationLeaf* leaf[3]; // null: none
+        std::uint64_t words[3];      // occupied cells in reach, of the rows of one x
         int word;
         Real shift[3];
     };
 
-    void reserve(const PartNeighborhood& around)
+    void reserve(const AblationNeighborhood& around)
     {
         std::size_t most = 0;
         for (const std::uint32_t l : around) {
-            if (l != kNoPartLeaf) most += mStructure.leaves[l].endSlot - mStructure.leaves[l].firstSlot;
+            if (l != kNoAblationLeaf) most += mStructure.leaves[l].endSlot - mStructure.leaves[l].firstSlot;
         }
         mMemory.reserve(most);
     }
 
-    Row rowOf(const PartNeighborhood& around, int x, int leafY) const;
+    Row rowOf(const AblationNeighborhood& around, int x, int leafY) const;
     template <bool kTable>
     void fillRow(Row& row, int y);
     void copyRun(std::uint32_t begin, std::uint32_t end, const Real* shift);
 
-    const PartStructure<kFrame>& mStructure;
+    const AblationStructure<kFrame>& mStructure;
     CandidateMemory<Real> mMemory;
     CandidateArrays<Real> mTo{};
     std::uint32_t mCount = 0;
@@ -91,11 +91,11 @@ private:
     std::uint32_t mSlab[kMostSide + 1] = {};
 };
 
-template <PartFrame kFrame>
+template <AblationFrame kFrame>
 template <bool kTable>
-bool PartHalo<kFrame>::fill(std::uint32_t leaf, std::uint64_t most)
+bool AblationHalo<kFrame>::fill(std::uint32_t leaf, std::uint64_t most)
 {
-    const PartNeighborhood& around = mStructure.neighborhoods[leaf];
+    const AblationNeighborhood& around = mStructure.neighborhoods[leaf];
     reserve(around);
     mTo = mMemory.arrays();
     mCount = 0;
@@ -122,8 +122,9 @@ bool PartHalo<kFrame>::fill(std::uint32_t leaf, std::uint64_t most)
     return true;
 }
 
-template <PartFrame kFrame>
-typename PartHalo<kFrame>::Row PartHalo<kFrame>::rowOf(const PartNeighborhood& around, int x, int leafY) const
+template <AblationFrame kFrame>
+typename AblationHalo<kFrame>::Row AblationHalo<kFrame>::rowOf(const AblationNeighborhood& around, int x,
+                                                               int leafY) const
 {
     constexpr std::uint64_t kEachByte = 0x0101010101010101u;
     const std::uint64_t low = kEachByte * ((1u << mStructure.reach) - 1); // z below reach, in each byte
@@ -133,7 +134,7 @@ typename PartHalo<kFrame>::Row PartHalo<kFrame>::rowOf(const PartNeighborhood& a
     row.word = x & 7;
     for (int leafZ = 0; leafZ < 3; ++leafZ) {
         const std::uint32_t l = around[static_cast<std::size_t>(leafX * 9 + leafY * 3 + leafZ)];
-        row.leaf[leafZ] = l == kNoPartLeaf ? nullptr : &mStructure.leaves[l];
+        row.leaf[leafZ] = l == kNoAblationLeaf ? nullptr : &mStructure.leaves[l];
         row.words[leafZ] = row.leaf[leafZ] ? row.leaf[leafZ]->occupancy[row.word] & inReach[leafZ] : 0;
     }
     row.shift[0] = Real(8 * (leafX - 1));
@@ -141,9 +142,9 @@ typename PartHalo<kFrame>::Row PartHalo<kFrame>::rowOf(const PartNeighborhood& a
     return row;
 }
 
-template <PartFrame kFrame>
+template <AblationFrame kFrame>
 template <bool kTable>
-void PartHalo<kFrame>::fillRow(Row& row, int y)
+void AblationHalo<kFrame>::fillRow(Row& row, int y)
 {
     const int reach = mStructure.reach;
     for (int leafZ = 0; leafZ < 3; ++leafZ) {
@@ -153,7 +154,7 @@ void PartHalo<kFrame>::fillRow(Row& row, int y)
             for (int z = z0; kTable && z < z1; ++z) *mNextStart++ = mCount;
             continue;
         }
-        const PartLeaf& leaf = *row.leaf[leafZ];
+        const AblationLeaf& leaf = *row.leaf[leafZ];
         const std::uint64_t below = leaf.occupancy[row.word] & ((bits & -bits) - 1);
         const std::uint32_t* cell =
             mStructure.cellStart.data() + leaf.firstCell[row.word] + __builtin_popcountll(below);
@@ -167,10 +168,10 @@ void PartHalo<kFrame>::fillRow(Row& row, int y)
     }
 }
 
-template <PartFrame kFrame>
-void PartHalo<kFrame>::copyRun(std::uint32_t begin, std::uint32_t end, const Real* shift)
+template <AblationFrame kFrame>
+void AblationHalo<kFrame>::copyRun(std::uint32_t begin, std::uint32_t end, const Real* shift)
 {
-    constexpr bool kShifts = kFrame == PartFrame::kLeafFloat;
+    constexpr bool kShifts = kFrame == AblationFrame::kLeafFloat;
     const std::uint32_t count = end - begin;
     const Real* const from[3] = {mStructure.x.data() + begin, mStructure.y.data() + begin,
                                  mStructure.z.data() + begin};
