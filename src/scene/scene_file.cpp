@@ -62,10 +62,11 @@ openvdb::Vec3d positionInVoxels(const Scene& scene, std::size_t particle)
     return position;
 }
 
-// Where a particle goes. In their order the particles of a leaf stand together, by voxel and then by number.
+// Where a particle goes. Their order is that of the tree's leaves, of the voxels in a leaf, and of the particles' numbers
+// in a voxel.
 struct Place {
-    std::uint64_t high,
-        low; // 128 bits: x, y and z of the leaf 29 each, voxel of the leaf 9, number of the particle 32
+    // 128 bits: root's entry 3 x 20, upper node 15, lower node 12, voxel 9, number of the particle 32.
+    std::uint64_t high, low;
 
     std::uint32_t particle() const { return static_cast<std::uint32_t>(low); }
     openvdb::Index voxel() const { return static_cast<openvdb::Index>(low >> 32) % Leaf::SIZE; }
@@ -78,10 +79,16 @@ struct Place {
 
 Place placeOf(const Scene& scene, std::size_t particle)
 {
+    using Upper = PointDataGrid::TreeType::RootNodeType::ChildNodeType;
+    using Lower = Upper::ChildNodeType;
+    static_assert(Upper::DIM == 4096 && Lower::DIM == 128 && Leaf::DIM == 8);
     const openvdb::Coord voxel = openvdb::Coord::round(positionInVoxels(scene, particle));
-    const auto leaf = [&](int axis) { return std::uint64_t(static_cast<std::uint32_t>(voxel[axis]) >> 3); };
-    return {leaf(0) << 35 | leaf(1) << 6 | leaf(2) >> 23,
-            leaf(2) << 41 | std::uint64_t(Leaf::coordToOffset(voxel)) << 32 | particle};
+    const auto root = [&](int axis) {
+        return std::uint64_t(static_cast<std::uint32_t>(voxel[axis]) / Upper::DIM);
+    };
+    const std::uint64_t upper = Upper::coordToOffset(voxel), lower = Lower::coordToOffset(voxel);
+    return {root(0) << 44 | root(1) << 24 | root(2) << 4 | upper >> 11,
+            upper << 53 | lower << 41 | std::uint64_t(Leaf::coordToOffset(voxel)) << 32 | particle};
 }
 
 using Places = std::unique_ptr<Place[]>; // made without a first, serial pass that fills it
