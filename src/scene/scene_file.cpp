@@ -1,6 +1,6 @@
 // Scenes into .vdb files: one point grid named `points`. The only file of the scenes with OpenVDB. Points of a voxel
 // keep the order of the scene, whatever the number of threads.
-#include "../io/output_file.h"
+#include "io/output_file.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
 #include "vdb_nns/error.h"
