@@ -16,6 +16,9 @@ struct Schedule;
 struct DeviceLimits;
 struct RunOptions;
 struct ScheduleRun;
+struct JobOptions; // search_job.h
+struct JobReport;
+struct JobPlan;
 
 /// Called once for every finite particle: its number, its neighbors and their world distances
 /// (ParticleView::distance), in cell-visiting order. Called from several threads at once; the spans are valid
@@ -91,6 +94,19 @@ public:
 
     /// buildGrid() and search().
     NeighborLists findNeighbors(const ParticleView& view, double radius, const SearchOptions& options = {});
+
+    /// The whole job: on the CPU or on devices, under a bound of host memory, with another way of holding lists where the
+    /// first does not fit. The same lists, byte for byte, wherever they are found; what the program's `search` does.
+    /// With a bound of memory the engine starts afresh. A Progress is told of the steps "grid"; "estimate" and "plan" where
+    /// there are devices; "search".
+    /// @throws CapacityError when nothing that is allowed fits, with what takes the memory; DeviceError when a device fails
+    ///         under DeviceFailure::kStop; and as buildGrid() and makePlan(): InvalidInput, InputError, Cancelled
+    NeighborLists findNeighbors(const ParticleView& view, double radius, const JobOptions& options,
+                                JobReport& report);
+
+    /// Plans a job without running it, in full, also for the CPU alone.
+    /// @throws as the job
+    JobPlan planJob(const ParticleView& view, double radius, const JobOptions& options);
 
     const SearchStatistics& statistics() const;
 
