@@ -14,8 +14,8 @@ public:
     virtual void update(const char* step, double fraction) = 0;
 
     /// Once this returns true, the running step throws `Cancelled`, within 0.3 s of work of each thread. It
-    /// cannot stop a device that searches a block, nor OpenVDB while it sorts the points of a scene or frees
-    /// a large tree. Writers ask for the last time before the file appears.
+    /// cannot stop a device that searches a block, nor OpenVDB while it measures, extends or frees a tree of
+    /// more than half a million leaves. Writers ask for the last time before the file appears.
     virtual bool cancelled() const { return false; }
 };
 
