@@ -127,9 +127,6 @@ DeviceOptions devicesOf(const DeviceFlags& flags, int threads)
         std::vector<std::string> leftOut;
         DeviceOptions options = chooseDevices(flags.device, threads, &leftOut);
         for (const std::string& reason : leftOut) say("left out: " + reason);
-        if (isSimulated(flags.device) && !flags.sim.empty()) {
-            options.devices.assign(options.devices.size(), parseSim(flags.sim));
-        }
         return options;
     } catch (const InvalidInput& error) {
         throw InvalidInput(std::string("--device: ") + error.what());
@@ -247,6 +244,7 @@ DeviceOptions deviceOptions(const DeviceFlags& flags, int threads)
     const int blockLog2Cells = flags.blockSize.empty() ? 0 : parseBlockLog2(flags.blockSize);
     checkUnused(flags);
     DeviceOptions options = devicesOf(flags, threads);
+    if (!flags.sim.empty()) options.devices.assign(options.devices.size(), parseSim(flags.sim));
     useEstimator(options, estimator);
     options.schedule.blockLog2Cells = blockLog2Cells;
     options.schedule.boundary = flags.boundary == "cpu"    ? BoundaryMode::kCpu
