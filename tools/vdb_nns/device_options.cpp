@@ -180,26 +180,28 @@ int parseBlockLog2(const std::string& text)
 
 void addDeviceNameFlags(CLI::App& app, DeviceFlags& flags)
 {
-    app.add_option("--device", flags.device,
-                   "where to search: auto, cpu, cuda (all GPUs), cuda:N, sim (a simulated device) or sim:N (N of "
-                   "them)")
+    app.add_option(
+           "--device", flags.device,
+           "where to search: auto, cpu, cuda (all GPUs), cuda:N, sim (a simulated device) or sim:N (N of "
+           "them)")
         ->type_name("DEVICE")
         ->check(notEmpty())
         ->capture_default_str();
-    app.add_option("--device-memory", flags.deviceMemory,
-                   "memory that each device may use, in the units of --host-memory; default: what the device has "
-                   "free")
+    app.add_option(
+           "--device-memory", flags.deviceMemory,
+           "memory that each device may use, in the units of --host-memory; default: what the device has "
+           "free")
         ->type_name("SIZE")
         ->check(notEmpty());
 }
 
 void addSimFlag(CLI::App& app, DeviceFlags& flags)
 {
-    app.add_option(
-           "--sim", flags.sim,
-           "the simulated device: optionally gtx780 or h200, then key=value pairs separated by commas: pcie, up, down "
-           "(GB/s), rate (tests/s), memory, latency (us, s), slots (blocks in flight); default: "
-           "pcie=12GB/s,rate=2.5Gtests/s,memory=3GiB,latency=20us,slots=3")
+    app.add_option("--sim", flags.sim,
+                   "the simulated device: optionally gtx780 or h200, then key=value pairs separated by "
+                   "commas: pcie, up, down "
+                   "(GB/s), rate (tests/s), memory, latency (us, s), slots (blocks in flight); default: "
+                   "pcie=12GB/s,rate=2.5Gtests/s,memory=3GiB,latency=20us,slots=3")
         ->type_name("SPEC")
         ->check(notEmpty());
 }
@@ -222,10 +224,10 @@ void addDeviceFlags(CLI::App& app, DeviceFlags& flags)
         ->type_name("WHO")
         ->check(CLI::IsMember({"cpu", "halo", "auto"}))
         ->capture_default_str();
-    app.add_option(
-           "--estimator", flags.estimator,
-           "how pairs are estimated: expected, montecarlo (the paper), sampled, counted (exact, at the cost of a "
-           "search) or fixed (64 a particle)")
+    app.add_option("--estimator", flags.estimator,
+                   "how pairs are estimated: expected, montecarlo (the paper), sampled, counted (exact, at "
+                   "the cost of a "
+                   "search) or fixed (64 a particle)")
         ->type_name("NAME")
         ->check(CLI::IsMember({"expected", "montecarlo", "sampled", "counted", "fixed"}))
         ->capture_default_str();

@@ -41,7 +41,8 @@ void addFlags(CLI::App& app, PlanFlags& flags)
         ->type_name("NAME")
         ->check(CLI::IsMember({"index", "mask"}))
         ->capture_default_str();
-    app.add_option("--nonfinite", flags.nonfinite, "what to do with points that have a NaN or infinite coordinate: skip or fail")
+    app.add_option("--nonfinite", flags.nonfinite,
+                   "what to do with points that have a NaN or infinite coordinate: skip or fail")
         ->type_name("HOW")
         ->check(CLI::IsMember({"skip", "fail"}))
         ->capture_default_str();
@@ -50,7 +51,8 @@ void addFlags(CLI::App& app, PlanFlags& flags)
         ->check(notEmpty());
     addCommonFlags(app, flags.common);
     app.get_option("--threads")
-        ->description("threads that make the plan; 0: all. The plan itself is for all threads of the machine");
+        ->description(
+            "threads that make the plan; 0: all. The plan itself is for all threads of the machine");
 }
 
 // Everything that can be wrong without reading a byte.

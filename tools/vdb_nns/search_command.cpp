@@ -55,9 +55,10 @@ void addFlags(CLI::App& app, SearchFlags& flags)
     addInputFlags(app, flags.input, true);
     addDeviceFlags(app, flags.device);
     addEngineFlags(app, flags.engine);
-    app.add_option("--encoding", flags.encoding,
-                   "how lists are held: index, mask or none; default: what the outputs need, or mask if index "
-                   "lists do not fit. If neither fits, the rows of an .npz go straight to the file")
+    app.add_option(
+           "--encoding", flags.encoding,
+           "how lists are held: index, mask or none; default: what the outputs need, or mask if index "
+           "lists do not fit. If neither fits, the rows of an .npz go straight to the file")
         ->type_name("NAME")
         ->check(CLI::IsMember({"index", "mask", "none"}));
     app.add_option("--lists", flags.lists, "values of an .npz: connectivity (ones) or distance")
@@ -75,7 +76,8 @@ void addFlags(CLI::App& app, SearchFlags& flags)
     app.add_option("--repeat", flags.repeat, "search N times and report medians")
         ->type_name("N")
         ->capture_default_str();
-    app.add_option("--nonfinite", flags.nonfinite, "what to do with points that have a NaN or infinite coordinate: skip or fail")
+    app.add_option("--nonfinite", flags.nonfinite,
+                   "what to do with points that have a NaN or infinite coordinate: skip or fail")
         ->type_name("HOW")
         ->check(CLI::IsMember({"skip", "fail"}))
         ->capture_default_str();
