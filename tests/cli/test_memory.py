@@ -55,7 +55,7 @@ class Bound(CliCase):
         self.bounded(110, "index", 9 * 300000, "--repeat", "2")
         self.bounded(200, "index", 9 * 300000, "--encoding", "index")
         self.fails(4, "search", *self.args, "-o", self.path("x.npz"), "--encoding", "mask", "-T", "2", "--host-memory",
-                   "120MB", says=["mask lists need", "bytes", "--host-memory, which is 120000000"])
+                   "120MB", says=["mask lists need", "bytes", "the host memory allowed, which is 120000000"])
 
     def test_index_mask_file(self):
         # Numbered at random, each row would be a write of its own: masks first. Who asks for indices is not given masks.
@@ -90,7 +90,7 @@ class Bound(CliCase):
                 self.assertGreater(report["devices"][0]["particles"], 0)
         self.fails(4, "search", path, "-r", "0.3", "--checksum", "--device", "sim", "--device-memory", "2GB",
                    "--encoding", "index", "--host-memory", "130MB",
-                   says=["slots of the devices", "bytes", "--host-memory, which is 130000000"])
+                   says=["buffers of the devices", "bytes", "the host memory allowed, which is 130000000"])
 
     def test_distances(self):
         self.search(self.scene("block", 300000), "-r", "0.25", "--lists", "distance")
@@ -171,7 +171,7 @@ class TooLittle(CliCase):
     def test_less_than_the_grid(self):
         path = self.scene("block", 300000)
         self.fails(4, "search", path, "-o", self.path("x.npz"), "--host-memory", "80MB",
-                   says=["grid of 300000 particles", "bytes", "--host-memory, which is 80000000"])
+                   says=["grid of 300000 particles", "bytes", "the host memory allowed, which is 80000000"])
 
     def test_less_than_the_counts(self):
         # Leaves that are taken over from the file need no sort, which would have left room for counts.

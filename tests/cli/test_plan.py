@@ -282,7 +282,7 @@ class Flags(PlanCase):
         rates = {re.search("for all [0-9]+ threads that there are, taken to make .* tests a second", done.err).group()
                  for done in (self.succeeds("plan", path, "-r", "0.2", "-v", "-T", threads) for threads in (1, 2))}
         self.assertEqual(len(rates), 1)
-        self.assertIn("The plan is for all threads", " ".join(run("plan", "--help").out.split()))
+        self.assertIn("The plan itself is for all threads", " ".join(run("plan", "--help").out.split()))
         self.assertIn("suggests the radius", self.succeeds("plan", path).err)
         lines = self.succeeds("plan", path, "-r", "0.2", "--progress", "always").err.splitlines()
         self.assertEqual(lines[-1], "PROGRESS 100%")

@@ -176,13 +176,22 @@ NeighborLists runJobs(SearchEngine& engine, const ParticleView& view, const Sear
         SearchProgress steps({progress, kReadShare + step * static_cast<double>(run),
                               kReadShare + step * static_cast<double>(run + 1)});
         options.search.progress = &steps;
-        lists = engine.findNeighbors(view, report.radius, options, job);
+        const auto tell = [&] {
+            for (const std::string& note : job.notes) {
+                if (!flags.common.quiet) say(note);
+            }
+        };
+        try {
+            lists = engine.findNeighbors(view, report.radius, options, job);
+        } catch (const CapacityError&) {
+            tell();
+            throw;
+        }
+        tell();
         streamed |= job.streamed;
         options = job.settled;
         gridSeconds.push_back(job.gridSeconds);
         searchSeconds.push_back(job.searchSeconds);
-        if (flags.common.quiet) continue;
-        for (const std::string& note : job.notes) say(note);
     }
     job.streamed = streamed;
     job.settled.search.progress = &progress;
