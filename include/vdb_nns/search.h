@@ -1,6 +1,7 @@
 // The search: all steps in one call, each step by itself, and an engine that keeps its buffers.
 #pragma once
 
+#include "vdb_nns/lattice.h"
 #include "vdb_nns/neighbor_lists.h"
 #include "vdb_nns/particle_view.h"
 #include "vdb_nns/search_options.h"
@@ -53,7 +54,7 @@ public:
     SearchEngine(SearchEngine&&) noexcept;
     SearchEngine& operator=(SearchEngine&&) noexcept;
 
-    /// Sorts the particles into a sparse grid.
+    /// Sorts the particles into a sparse grid, on the lattice that suits them and the radius (chooseLattice()).
     /// @param radius world units, > 0 and finite.
     /// Cost: about 2 passes over the particles and 16 bytes a particle.
     /// @throws InvalidInput for a bad radius or option
@@ -62,27 +63,39 @@ public:
     /// @throws CapacityError, Cancelled
     SparseGrid buildGrid(const ParticleView& view, double radius, const SearchOptions& options = {});
 
-    /// Makes the lists of all particles of a grid, in options.encoding.
+    /// Sorts the particles of a view on a lattice that is given. Views that are sorted on one lattice have the same cells.
+    /// @param options `cellSize` and `wideCells` are not read.
+    /// Cost: as above, without what choosing cells takes.
+    /// @throws InvalidInput for a lattice with a bad edge, reach or radius; for one that does not suit the view: a reference
+    ///         that is no voxel of a VDB grid, or voxels as cells where the view has none of that edge; for a bad option
+    /// @throws InputError when a cell coordinate would pass +-(2^31 - 4096), or the transform is too nearly singular for the
+    ///         cells, with the extent and the smallest cells that work; with voxels as cells for a particle outside its
+    ///         voxel; for a non-finite particle under NonFinite::kFail
+    /// @throws CapacityError, Cancelled
+    SparseGrid buildGrid(const ParticleView& view, const Lattice& lattice, const SearchOptions& options = {});
+
+    /// Makes the lists of all particles of a grid, in options.encoding, with options.radius.
     /// @throws CapacityError before the memory is gone, when the lists cannot fit
-    /// @throws InvalidInput, Cancelled
+    /// @throws InvalidInput for a radius above that of the grid's lattice, or a bad option; Cancelled
     NeighborLists search(const SparseGrid& grid, const SearchOptions& options = {});
 
     /// Runs a schedule of makeSchedule() on `devices`, which it was made for, and on TBB workers: the same
-    /// lists, byte for byte, as search() makes, in the schedule's encoding. A block that outgrows its
+    /// lists, byte for byte, as search() makes, in the schedule's encoding and with options.search.radius, which the estimate
+    /// should have been made for. A block that outgrows its
     /// estimate is split and redone; a device that refuses memory is asked for less, and what fits no device
     /// is run by TBB workers; `report` counts all of that.
     /// Host memory besides the lists: what the devices hold in their buffers, once for staging; for simulated
     /// devices once more.
     /// @throws DeviceError when a device fails, under DeviceFailure::kStop, or is not there
     /// @throws CapacityError when the lists cannot fit beside that
-    /// @throws InvalidInput for a schedule of another grid; Cancelled
+    /// @throws InvalidInput for a schedule of another grid or a radius above that of the grid's lattice; Cancelled
     NeighborLists search(const SparseGrid& grid, const Schedule& schedule,
                          const std::vector<DeviceLimits>& devices, const RunOptions& options,
                          ScheduleRun& report);
 
     /// Hands every query its neighbors without storing lists.
     /// @param options `encoding` has no meaning here; `hostMemoryBytes` is not read.
-    /// @throws InvalidInput, Cancelled, and what `visitor` throws
+    /// @throws InvalidInput as search(), Cancelled, and what `visitor` throws
     void visit(const SparseGrid& grid, const NeighborVisitor& visitor, const SearchOptions& options = {});
 
     /// The same without distances.

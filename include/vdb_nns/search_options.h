@@ -27,6 +27,11 @@ struct SearchOptions {
     /// How results are held.
     Encoding encoding = Encoding::kIndex;
 
+    /// Radius of a search, in world units, at most that of the grid's lattice; 0: the lattice's. Lists are those of a grid that is
+    /// built for this radius, in an order of their own; masks keep the bits of the lattice's cells. Read by searches, not by
+    /// what builds a grid or takes a radius itself.
+    double radius = 0;
+
     static constexpr double kSmallestCell = 0.33, kLargestCell = 4;
 
     /// Cell edge in radii, kSmallestCell to kLargestCell; a hair is added to it. The radius spans the next whole number of

@@ -91,8 +91,8 @@ Work sumOf(const std::vector<Work>& leaves)
 TEST(WorkEstimate, TestsBytesAndParticlesAreThoseOfEveryCell)
 {
     forEachGrid([](const PointSet&, const SparseGrid& grid) {
-        const std::vector<Work> slow =
-            slowWork(grid, OverlapTable::byQuadrature(grid.data().radiusCells, grid.reach()));
+        const std::vector<Work> slow = slowWork(
+            grid, OverlapTable::byQuadrature(radiusInCells(grid.lattice(), grid.radius()), grid.reach()));
         const WorkEstimate estimate = estimateBy(grid, Estimator::kExpected);
         ASSERT_EQ(estimate.leaves.size(), grid.leafCount());
         for (std::size_t l = 0; l < slow.size(); ++l) {
@@ -120,7 +120,7 @@ TEST(ExpectNeighbors, IsWorkedOutByHand)
 {
     const double x[] = {0.25, 0.5, 0.5, kNan, 1, 1, 1.5, 0.5, 0.5, 0.75, 0.5, 0.5, 40.5, 0.5, 0.5};
     const SparseGrid grid = gridOf(ParticleView::fromArray(x, 5), 1, 1);
-    const OverlapTable overlap = OverlapTable::byQuadrature(grid.data().radiusCells, 1);
+    const OverlapTable overlap = OverlapTable::byQuadrature(radiusInCells(grid.lattice(), grid.radius()), 1);
     const double own = overlap.share(0, 0, 0), next = overlap.share(1, 0, 0);
     ASSERT_GT(own, next);
     const double expected[] = {own + next, 0, 2 * next, own + next, 0};
@@ -187,8 +187,8 @@ TEST(ExpectNeighbors, OtherEstimatorsAreRefusedAndNothingHasNone)
 TEST(WorkEstimate, TheExpectationIsTheSumOfSharesOverCells)
 {
     forEachGrid([](const PointSet&, const SparseGrid& grid) {
-        const std::vector<Work> slow =
-            slowWork(grid, OverlapTable::byQuadrature(grid.data().radiusCells, grid.reach()));
+        const std::vector<Work> slow = slowWork(
+            grid, OverlapTable::byQuadrature(radiusInCells(grid.lattice(), grid.radius()), grid.reach()));
         const WorkEstimate estimate = estimateBy(grid, Estimator::kExpected, false);
         for (std::size_t l = 0; l < slow.size(); ++l) {
             const double tolerance = 1e-5 * slow[l].expectedPairs + 1e-6;
@@ -477,7 +477,7 @@ std::vector<QueryRange> rangesOf(const SparseGrid& grid, std::uint32_t most)
 void expectOraclesCounts(const SparseGrid& grid, const std::vector<QueryRange>& ranges, const Lists& oracle)
 {
     const std::vector<std::uint32_t> counts =
-        countQueries(grid.data(), ranges, CancelCheck(nullptr, "count"));
+        countQueries(grid.data(), grid.radius(), ranges, CancelCheck(nullptr, "count"));
     auto count = counts.begin();
     for (const QueryRange& range : ranges) {
         for (std::uint32_t s = range.firstSlot; s < range.endSlot; ++s, ++count) {
@@ -519,8 +519,9 @@ TEST(CountQueries, IsStoppedByAProgress)
     const double one[3] = {1, 2, 3};
     const SparseGrid grid = gridOf(ParticleView::fromArray(one, 1), 1, 1);
     StopAfter stop(0);
-    EXPECT_THROW(countQueries(grid.data(), {{0, 0, 1}}, CancelCheck(&stop, "count")), Cancelled);
-    EXPECT_TRUE(countQueries(grid.data(), {}, CancelCheck(&stop, "count")).empty());
+    EXPECT_THROW(countQueries(grid.data(), grid.radius(), {{0, 0, 1}}, CancelCheck(&stop, "count")),
+                 Cancelled);
+    EXPECT_TRUE(countQueries(grid.data(), grid.radius(), {}, CancelCheck(&stop, "count")).empty());
 }
 
 using Cells = std::array<std::uint64_t, 8>;
@@ -533,7 +534,8 @@ public:
           mKernels(kernelsFor(level)),
           mExact(grid.data().view, grid.radius()),
           mContext{blockViewOf(grid.data()),
-                   makeFilterBounds(grid.data().radiusCells, grid.reach(), grid.data().coordinateError),
+                   makeFilterBounds(radiusInCells(grid.lattice(), grid.radius()), grid.reach(),
+                                    grid.data().coordinateError),
                    pollOf(mCancel)}
     {
         mState.judgeBy(mExact, mCancel);
@@ -723,7 +725,8 @@ TEST(LeavesInReach, AreThoseThatHoldACellInReach)
 TEST(ExpectCells, IsTheSameWithEveryInstructionSet)
 {
     forEachGrid([](const PointSet&, const SparseGrid& grid) {
-        const OverlapTable overlap = OverlapTable::byQuadrature(grid.data().radiusCells, grid.reach());
+        const OverlapTable overlap =
+            OverlapTable::byQuadrature(radiusInCells(grid.lattice(), grid.radius()), grid.reach());
         std::vector<float> shares;
         for (int x = -grid.reach(); x <= grid.reach(); ++x) {
             for (int y = -grid.reach(); y <= grid.reach(); ++y) {

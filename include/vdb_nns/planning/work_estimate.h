@@ -21,6 +21,8 @@ enum class Estimator {
 
 struct EstimateOptions {
     Estimator estimator = Estimator::kExpected;
+    /// Of the search, in world units, at most that of the grid's lattice; 0: the lattice's (SearchOptions::radius).
+    double radius = 0;
     /// Of the queries, for kSampled. kExpected counts half as many groups of up to 8 queries of a cell at most, but 512 of them.
     double sampleFraction = 0.03;
     std::uint64_t monteCarloSamples = 1'000'000; ///< of each class of cell offsets; kMonteCarlo
@@ -50,6 +52,8 @@ struct Work {
 
 struct WorkEstimate {
     Estimator estimator = Estimator::kExpected;
+    double radius =
+        0; ///< of the search that it is for, in world units; tests and masks follow from the lattice alone
     std::vector<Work> leaves; ///< by leaf of the grid
     Work total;
     bool corrected = false;           ///< the expectation was corrected by a sample
@@ -65,7 +69,7 @@ struct WorkEstimate {
 /// Cost: one pass over the cells (kExpected, kMonteCarlo, kFixed); a search without lists (kCounted).
 /// Source of the expectation: Kim et al., Out-of-Core Proximity Computation for Particle-based Fluid Simulations (HPG 2014):
 /// E(C_q) = sum over cells C_i of n(C_i) D(C_q, C_i) / (V(C_q) V(C_i)), less the query itself.
-/// @throws InvalidInput for a fraction outside (0, 1], no samples, or a negative number of neighbors
+/// @throws InvalidInput for a fraction outside (0, 1], no samples, a negative number of neighbors, or a radius above the lattice's
 /// @throws Cancelled
 WorkEstimate estimateWork(const SparseGrid& grid, const EstimateOptions& options = {});
 
