@@ -14,8 +14,8 @@ public:
     virtual void update(const char* step, double fraction) = 0;
 
     /// When true is returned, the running step stops within 0.3 s of each thread's work and throws
-    /// `Cancelled`. Not so while a device searches a block, or OpenVDB sorts the points of a scene or frees a
-    /// large tree. Writers ask for the last time before the file appears.
+    /// `Cancelled`. Not so while a device searches a block, or OpenVDB measures, extends or frees a tree of more
+    /// than half a million leaves. Writers ask for the last time before the file appears.
     virtual bool cancelled() const { return false; }
 };
 

@@ -25,6 +25,8 @@ namespace {
 constexpr std::size_t kMaxWriteBytes = std::size_t(1) << 30;
 // OpenVDB writes many values of a few bytes.
 constexpr std::size_t kStreamBufferBytes = std::size_t(4) << 20;
+// It compresses each leaf for the two bytes of its size, so that a whole tree may be less than a buffer.
+constexpr std::uint64_t kPiecesPerCall = 1024;
 
 std::string nextStep(int error)
 {
@@ -241,6 +243,7 @@ OutputStreamBuffer::int_type OutputStreamBuffer::overflow(int_type character)
 
 std::streamsize OutputStreamBuffer::xsputn(const char* data, std::streamsize bytes)
 {
+    if (++mPieces % kPiecesPerCall == 0) mOnWrite(mEnd);
     if (bytes > epptr() - pptr()) flushBuffer();
     if (bytes > epptr() - pptr()) { // larger than the whole buffer
         writeThrough(data, static_cast<std::size_t>(bytes));

@@ -53,8 +53,8 @@ private:
 };
 
 // Buffers an OutputFile for writers that want a seekable std::ostream. Errors leave as OutputError through a
-// stream whose exceptions() hold badbit, and so does what `onWrite`, told the bytes that were written so far,
-// throws.
+// stream whose exceptions() hold badbit, and so does what `onWrite` throws. It is told the bytes that were written so
+// far, with each buffer and with each thousand of pieces.
 class OutputStreamBuffer final : public std::streambuf {
 public:
     OutputStreamBuffer(OutputFile& file, std::function<void(std::uint64_t)> onWrite);
@@ -73,6 +73,7 @@ private:
     OutputFile& mFile;
     std::function<void(std::uint64_t)> mOnWrite;
     std::vector<char> mBuffer;
+    std::uint64_t mPieces = 0;
     std::uint64_t mStart = 0; // place in the file of the buffer's first byte
     std::uint64_t mEnd = 0;   // bytes of the file so far, less what the buffer holds
 };

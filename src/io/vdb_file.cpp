@@ -5,13 +5,17 @@
 #include "io/output_file.h"
 #include "io/vdb_archive.h"
 #include "points/particle_source.h"
+#include "points/point_attribute.h"
 #include "util/cancel.h"
+#include "util/isolate.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/memory.h"
-#include "vdb_nns/openvdb_bridge.h"
 
 #include <openvdb/io/Archive.h>
 #include <openvdb/io/GridDescriptor.h>
+
+#include <oneapi/tbb/blocked_range.h>
+#include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
 #include <atomic>
@@ -294,21 +298,33 @@ class AttributeLoan {
 public:
     // `isLent`: of the grid, true already; no more at the end.
     // Delegates first, so that the destructor takes everything back where this throws.
-    AttributeLoan(points::PointDataGrid& grid, std::atomic<bool>& isLent) : AttributeLoan(isLent)
+    AttributeLoan(points::PointDataGrid& grid, std::atomic<bool>& isLent, const CancelCheck& cancel)
+        : AttributeLoan(isLent)
     {
         grid.tree().getNodes(mLeaves);
-        mSets.reserve(mLeaves.size());
-        for (Leaf* leaf : mLeaves) {
-            auto copy = std::make_unique<points::AttributeSet>(leaf->attributeSet());
-            mSets.push_back(leaf->stealAttributeSet());
-            leaf->replaceAttributeSet(copy.release(), /*allowMismatchingDescriptors=*/true);
-        }
+        mSets.resize(mLeaves.size());
+        forLeaves([&](const auto& range) {
+            cancel.check();
+            for (std::size_t i = range.begin(); i < range.end(); ++i) {
+                auto copy = std::make_unique<points::AttributeSet>(mLeaves[i]->attributeSet());
+                mSets[i] = mLeaves[i]->stealAttributeSet();
+                mLeaves[i]->replaceAttributeSet(copy.release(), /*allowMismatchingDescriptors=*/true);
+            }
+        });
     }
 
     ~AttributeLoan()
     {
-        for (std::size_t i = 0; i < mSets.size(); ++i) {
-            mLeaves[i]->replaceAttributeSet(mSets[i].release(), /*allowMismatchingDescriptors=*/true);
+        const auto takeBack = [&](const Range& range) {
+            for (std::size_t i = range.begin(); i < range.end(); ++i) {
+                if (!mSets[i]) continue;
+                mLeaves[i]->replaceAttributeSet(mSets[i].release(), /*allowMismatchingDescriptors=*/true);
+            }
+        };
+        try {
+            forLeaves(takeBack);
+        } catch (...) { // no memory for tasks
+            takeBack(Range(0, mSets.size()));
         }
         mIsLent = false;
     }
@@ -317,7 +333,17 @@ public:
     AttributeLoan& operator=(const AttributeLoan&) = delete;
 
 private:
+    using Range = tbb::blocked_range<std::size_t>;
+
     explicit AttributeLoan(std::atomic<bool>& isLent) : mIsLent(isLent) {}
+
+    // A tree has many small blocks of memory: one thread would free them for longer than a user who cancels may wait.
+    template <typename F>
+    void forLeaves(F&& f) const
+    {
+        constexpr std::size_t kLeaves = 1024; // between two questions whether to stop
+        isolated([&] { tbb::parallel_for(Range(0, mSets.size(), kLeaves), f, tbb::simple_partitioner()); });
+    }
 
     std::atomic<bool>& mIsLent;
     std::vector<Leaf*> mLeaves;
@@ -459,11 +485,11 @@ void LoadedVdb::write(const std::string& path, Span<const std::uint32_t> counts,
     std::optional<AttributeLoan> loan;
     points::PointDataGrid::Ptr own = mGrid;
     if (!mIsLent.exchange(true)) {
-        loan.emplace(*mGrid, mIsLent);
+        loan.emplace(*mGrid, mIsLent, cancel);
     } else {
         guardRead(mPath, [&] { own = readChosen(*archive); });
     }
-    setPointAttribute(*own, attribute, counts, options.overwrite);
+    setPointAttribute(*own, attribute, counts, options.overwrite, cancel);
 
     OutputFile file(path, options);
     SeekableArchive out;

@@ -5,6 +5,7 @@
 
 #include "points/occupied_voxels.h"
 #include "points/particle_source.h"
+#include "points/point_attribute.h"
 #include "util/isolate.h"
 #include "vdb_nns/error.h"
 
@@ -464,6 +465,12 @@ ParticleView viewOf(const points::PointDataGrid::ConstPtr& grid)
 void setPointAttribute(points::PointDataGrid& grid, const std::string& name, Span<const std::uint32_t> values,
                        bool overwrite)
 {
+    setPointAttribute(grid, name, values, overwrite, CancelCheck(nullptr, ""));
+}
+
+void setPointAttribute(points::PointDataGrid& grid, const std::string& name, Span<const std::uint32_t> values,
+                       bool overwrite, const CancelCheck& cancel)
+{
     std::vector<Leaf*> leaves;
     grid.tree().getNodes(leaves);
     std::vector<std::uint64_t> starts(1, 0);
@@ -485,6 +492,7 @@ void setPointAttribute(points::PointDataGrid& grid, const std::string& name, Spa
     const auto setValues = [&] {
         const std::size_t position = prepareAttribute(grid, name, overwrite);
         tbb::parallel_for(std::size_t(0), leaves.size(), [&](std::size_t i) {
+            if (i % 1024 == 0) cancel.check();
             CountArray& array = CountArray::cast(leaves[i]->attributeArray(position));
             array.expand(/*fill=*/false);
             const std::uint64_t count = starts[i + 1] - starts[i];

@@ -5,6 +5,7 @@
 #include "util/isolate.h"
 #include "vdb_nns/error.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <sstream>
@@ -117,10 +118,16 @@ Scene makeScene(const SceneOptions& options, Progress* progress)
     Scene scene;
     scene.suggestedRadius = options.radiusFactor.value_or(2.0) * h;
     scene.voxelSize = options.voxelSize.value_or(options.name == "lattice" ? h : 2 * h);
-    scene.positions.resize(3 * options.count);
+    const CancelCheck cancel(progress, "scene");
+    const std::size_t coordinates = 3 * options.count;
+    scene.positions.reserve(coordinates);
+    while (scene.positions.size() < coordinates) { // the memory comes page by page: 0.2 s a GB
+        cancel.check();
+        scene.positions.resize(std::min(coordinates, scene.positions.size() + (std::size_t(1) << 23)));
+    }
     isolated([&] {
         entry.generate({options, options.count, h, scene.suggestedRadius, scene.voxelSize,
-                        scene.positions.data(), CancelCheck(progress, "scene")});
+                        scene.positions.data(), cancel});
     });
     return scene;
 }

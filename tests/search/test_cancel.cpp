@@ -9,6 +9,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cstdio>
 #include <cstdlib>
@@ -16,6 +17,7 @@
 #include <filesystem>
 #include <fstream>
 #include <functional>
+#include <mutex>
 #include <string>
 #include <vector>
 
@@ -61,6 +63,39 @@ private:
     const int mNumber;
     mutable std::atomic<int> mQuestions{0};
 };
+
+// Measures how long nobody asks.
+class LongestSilence final : public Progress {
+public:
+    void update(const char*, double) override {}
+    bool cancelled() const override
+    {
+        const std::lock_guard<std::mutex> lock(mMutex);
+        const double now = processorSeconds();
+        mLongest = std::max(mLongest, now - mLast);
+        mLast = now;
+        return false;
+    }
+
+    double longest() const { return mLongest; }
+    double total() const { return mLast - mBegin; }
+
+private:
+    const double mBegin = processorSeconds();
+    mutable std::mutex mMutex;
+    mutable double mLast = mBegin, mLongest = 0;
+};
+
+// A part of the step's own time, so that the speed of the machine does not count.
+void expectAsksThroughout(const std::string& name, const std::function<void(Progress*)>& step)
+{
+    runOnThreads(kThreads, [&] {
+        LongestSilence progress;
+        step(&progress);
+        EXPECT_LT(progress.longest(), progress.total() / 5) << name << ": " << progress.total() << " s";
+        std::printf("%s: %.4f s of %.3f s\n", name.c_str(), progress.longest(), progress.total());
+    });
+}
 
 // The step takes several times as long as it is given.
 void expectStops(const std::string& name, double afterSeconds, const std::function<void(Progress*)>& step)
@@ -191,6 +226,33 @@ TEST_F(CancelWithFiles, StopsReadingVdb)
     options.count = 500'000;
     writeScene(path("block.vdb"), makeScene(options), options);
     expectAsks("block.vdb");
+}
+
+// Many leaves with few particles each, as OpenVDB takes its time by the leaf.
+TEST_F(CancelWithFiles, StopsWritingVdb)
+{
+    SceneOptions options;
+    options.name = "spray";
+    options.count = 1'000'000;
+    const Scene scene = makeScene(options);
+    const std::string input = path("in.vdb"), output = path("out.vdb");
+    writeScene(input, scene, options); // the first run starts threads and fills memory
+    const PointFile file = PointFile::read(input);
+    const std::vector<std::uint32_t> counts(options.count, 1);
+    const auto write = [&](Progress* progress) {
+        file.writeVdb(output, {counts.data(), counts.size()}, "nns_", {true}, progress);
+    };
+    const auto writeAsScene = [&](Progress* progress) {
+        writeScene(output, scene, options, {true}, progress);
+    };
+    expectAsksThroughout("scene", writeAsScene);
+    expectAsksThroughout("vdb", write);
+    fs::remove(output);
+    for (const double afterSeconds : {0.01, 0.1, 0.2}) {
+        expectStops("scene", afterSeconds, writeAsScene);
+        expectStops("vdb", afterSeconds, write);
+    }
+    EXPECT_FALSE(fs::exists(output));
 }
 
 TEST_F(CancelWithFiles, StopsWhatIsMadeOfLists)
