@@ -3,6 +3,7 @@
 #include "cpu/kernels.h"
 #include "cpu/leaves_in_reach-inl.h"
 #include "exact/exact_test.h"
+#include "grid/lattice.h"
 #include "lists/cell_candidates.h"
 #include "lists/neighbor_lists_data.h"
 #include "plan/overlap_table.h"
@@ -438,6 +439,48 @@ private:
     mutable std::atomic<int> mLeft;
 };
 
+// A search with a smaller radius than its lattice: tests and masks are those of the cells, pairs those of the radius.
+TEST(WorkEstimate, FollowsASmallerRadius)
+{
+    for (const char* name : {"block", "clusters"}) {
+        const SceneGrid scene(name, 8000);
+        SearchOptions counting;
+        counting.encoding = Encoding::kNone;
+        counting.radius = 0.7 * scene.grid.radius();
+        const auto pairs =
+            static_cast<double>(SearchEngine().search(scene.grid, counting).statistics().pairs);
+        EstimateOptions options;
+        options.radius = counting.radius;
+        for (const Estimator estimator : {Estimator::kExpected, Estimator::kMonteCarlo, Estimator::kSampled,
+                                          Estimator::kCounted, Estimator::kFixed, Estimator::kProbed}) {
+            SCOPED_TRACE(std::string(name) + " " + estimatorName(estimator));
+            options.estimator = estimator;
+            options.monteCarloSamples = 100'000;
+            const WorkEstimate full = estimateBy(scene.grid, estimator);
+            const WorkEstimate estimate = estimateWork(scene.grid, options);
+            EXPECT_EQ(full.radius, scene.grid.radius());
+            EXPECT_EQ(estimate.radius, options.radius);
+            EXPECT_EQ(estimate.total.candidateTests, full.total.candidateTests);
+            EXPECT_EQ(estimate.total.maskBytes, full.total.maskBytes);
+            if (estimator == Estimator::kFixed) continue;
+            EXPECT_LT(estimate.total.expectedPairs, 0.7 * full.total.expectedPairs);
+            if (estimator == Estimator::kExpected || estimator == Estimator::kSampled) {
+                EXPECT_NEAR(estimate.total.expectedPairs / pairs, 1, 0.1);
+            } else if (estimator == Estimator::kCounted) {
+                EXPECT_EQ(estimate.total.expectedPairs, pairs);
+            }
+        }
+        // The model itself, against the slow sum.
+        options.estimator = Estimator::kExpected;
+        options.correctCrowding = false;
+        const OverlapTable overlap = OverlapTable::byQuadrature(
+            radiusInCells(scene.grid.lattice(), options.radius), scene.grid.reach());
+        const double slow = sumOf(slowWork(scene.grid, overlap)).expectedPairs;
+        EXPECT_NEAR(estimateWork(scene.grid, options).total.expectedPairs, slow, 1e-5 * slow);
+        EXPECT_NEAR(sumOf(expectNeighbors(scene.grid, options)), slow, 1e-5 * slow);
+    }
+}
+
 TEST(WorkEstimate, IsStoppedByAProgress)
 {
     const SceneGrid scene("clusters", 20000);
@@ -474,10 +517,11 @@ std::vector<QueryRange> rangesOf(const SparseGrid& grid, std::uint32_t most)
     return ranges;
 }
 
-void expectOraclesCounts(const SparseGrid& grid, const std::vector<QueryRange>& ranges, const Lists& oracle)
+void expectOraclesCounts(const SparseGrid& grid, double radius, const std::vector<QueryRange>& ranges,
+                         const Lists& oracle)
 {
     const std::vector<std::uint32_t> counts =
-        countQueries(grid.data(), grid.radius(), ranges, CancelCheck(nullptr, "count"));
+        countQueries(grid.data(), radius, ranges, CancelCheck(nullptr, "count"));
     auto count = counts.begin();
     for (const QueryRange& range : ranges) {
         for (std::uint32_t s = range.firstSlot; s < range.endSlot; ++s, ++count) {
@@ -498,7 +542,7 @@ TEST(CountQueries, EveryQueryHasTheOraclesCount)
             std::vector<QueryRange> ranges = rangesOf(grid, most);
             std::shuffle(ranges.begin(), ranges.end(), std::mt19937(5));
             if (!ranges.empty()) ranges.push_back(ranges[0]);
-            expectOraclesCounts(grid, ranges, oracle);
+            expectOraclesCounts(grid, set.radius, ranges, oracle);
         }
     });
 }
@@ -510,7 +554,9 @@ TEST(CountQueries, VoxelsUnderEveryMapToo)
             continue;
         const SetView input(set, Form::kVoxels);
         const SparseGrid grid = gridOf(input.view(), set.radius, 0);
-        expectOraclesCounts(grid, rangesOf(grid, 2), oracleLists(set));
+        expectOraclesCounts(grid, set.radius, rangesOf(grid, 2), oracleLists(set));
+        const SparseGrid wider = gridOf(input.view(), 3 * set.radius, 2);
+        expectOraclesCounts(wider, set.radius, rangesOf(wider, 2), oracleLists(set));
     }
 }
 
@@ -538,7 +584,7 @@ public:
                                     grid.data().coordinateError),
                    pollOf(mCancel)}
     {
-        mState.judgeBy(mExact, mCancel);
+        mState.decideBy(mExact, mCancel);
         mPool.begin(std::uint64_t(1) << 26, grid.particleCount());
         mState.pool = &mPool;
         mState.sink.slotBase = 0;
@@ -551,8 +597,8 @@ public:
         LeafNeighborhood neighborhood;
         mGrid.data().topology.neighborhoods({&mGrid.data().leafOrigins[leaf], 1}, &neighborhood);
         const SearchTask task{leaf, first, end, neighborhood.leaf, cells.data()};
-        (lists ? mKernels.index : mKernels.count)(mContext, task, mState.judge(), mState.halo, mState.sink,
-                                                  mState.statistics);
+        (lists ? mKernels.index : mKernels.count)(mContext, task, mState.exactPredicate(), mState.halo,
+                                                  mState.sink, mState.statistics);
     }
 
     // The mask rows of the queries of one cell.
@@ -560,7 +606,7 @@ public:
     {
         const LeafRecord* const record = mGrid.data().leaves.data() + leaf;
         const SearchTask task{leaf, record[0].firstSlot, record[1].firstSlot, neighborhood.leaf, cell.data()};
-        mKernels.mask(mContext, task, mState.judge(), mState.halo, mState.sink, mState.statistics);
+        mKernels.mask(mContext, task, mState.exactPredicate(), mState.halo, mState.sink, mState.statistics);
         return mState.sink.taskBegin;
     }
 
