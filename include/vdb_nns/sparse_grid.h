@@ -15,7 +15,8 @@ struct SparseGridData; // src/grid/sparse_grid_data.h
 
 /// Immutable; a cheap handle whose copies share the data. Safe to read from several threads.
 ///
-/// Space is cut into the cells of lattice(); 8^3 cells are a leaf, and the tree above the leaves is OpenVDB's (nodes of 128^3 and 4096^3 cells).
+/// Space is cut into the cells of lattice(); 8^3 cells are a leaf, and the tree above the leaves is OpenVDB's (nodes of
+/// 128^3 and 4096^3 cells).
 /// Only occupied leaves exist. Leaves stand in Morton order within a 4096^3 node, so every octant of a node is a
 /// contiguous range of leaves. Inside a leaf the cells stand in OpenVDB's linear order, (x * 8 + y) * 8 + z, and inside
 /// a cell the particles stand by number. A slot is a particle's place in that order.

@@ -15,11 +15,11 @@ struct LatticeFit {
     double coordinateError = 0; // where cell coordinates are in range, but may be that wrong
 };
 
-// Offers lattices for a radius, the best first, until one fits: the voxels of a file, cells of the size that is asked for or chosen,
-// and cells of the radius where there would be too many smaller ones. Cells of arrays are counted from the origin and, where they
-// would be too many from there, from the middle of the particles.
-// Finding out whether a lattice fits is left to the sort on it, which has to look at all particles anyway. So this has no pass over
-// them but those of chooseCellSize(), and of boundsOf() where the origin is too far.
+// Offers lattices for a radius, the best first, until one fits: the voxels of a file; cells of the size that is asked for or
+// chosen; cells of the radius, where there would be too many smaller ones. Cells of arrays are counted from the origin, or
+// from the middle of the particles where the origin is too far.
+// Whether a lattice fits is left to the sort on it, which looks at all particles anyway: there is no other pass over them but
+// those of chooseCellSize(), and of boundsOf() where the origin is too far.
 // Throws InputError where none fits, Cancelled, and what `offer` throws.
 void offerLattices(const ParticleSource& source, double radius, const SearchOptions& options,
                    const std::function<LatticeFit(const Lattice&)>& offer);

@@ -1,5 +1,5 @@
-// What a SparseGrid holds: a lattice, and the particles of a view sorted on it. Plain arrays by slot, cell and leaf, and the tree.
-// May know nothing of lists or devices, nor of the radius of a search.
+// What a SparseGrid holds: a lattice, and the particles of a view sorted on it. Plain arrays by slot, cell and leaf, and
+// the tree. Knows nothing of lists, devices, and the radius of a search.
 #pragma once
 
 #include "grid/topology.h"

@@ -1,5 +1,5 @@
-// The lattice as an input: views that share one have the same cells, a search may have a smaller radius than its lattice, and what
-// does not suit is refused. Which lattice is chosen is held against the grids that are built without one.
+// The lattice as an input: views that share one have the same cells, a search may have a smaller radius than its lattice,
+// and what does not suit is refused. The lattice that is chosen is that of the grid that is built without one.
 #include "agreement/point_views.h"
 #include "grid/lattice.h"
 #include "plan/workload_cases.h"

@@ -69,7 +69,8 @@ struct WorkEstimate {
 /// Cost: one pass over the cells (kExpected, kMonteCarlo, kFixed); a search without lists (kCounted).
 /// Source of the expectation: Kim et al., Out-of-Core Proximity Computation for Particle-based Fluid Simulations (HPG 2014):
 /// E(C_q) = sum over cells C_i of n(C_i) D(C_q, C_i) / (V(C_q) V(C_i)), less the query itself.
-/// @throws InvalidInput for a fraction outside (0, 1], no samples, a negative number of neighbors, or a radius above the lattice's
+/// @throws InvalidInput for a fraction outside (0, 1], no samples, a negative number of neighbors, or a radius above the
+///         lattice's
 /// @throws Cancelled
 WorkEstimate estimateWork(const SparseGrid& grid, const EstimateOptions& options = {});
 
