@@ -125,8 +125,7 @@ std::optional<Lattice> latticeOfVoxels(const ParticleSource& source, double radi
 
 bool areCells(const ParticleSource& source, const Lattice& lattice)
 {
-    return !source.isArray() &&
-           std::fabs(voxelEdge(source.linear()) - lattice.cellSize) <= kUnevenVoxels * lattice.cellSize;
+    return !source.isArray() && voxelEdge(source.linear()) == lattice.cellSize;
 }
 
 bool particlesAreInVoxels(const ParticleSource& source, const CancelCheck& cancel)

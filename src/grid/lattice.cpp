@@ -15,13 +15,13 @@ namespace {
 // Of a radius against what cells span: what rounding the edge and its reciprocal may add.
 constexpr double kRounding = 1e-12;
 
+} // namespace
+
 std::string shortest(double value)
 {
     char text[32];
     return {text, std::to_chars(text, text + sizeof text, value).ptr};
 }
-
-} // namespace
 
 double spanOfCells(double cellSize, int reach)
 {

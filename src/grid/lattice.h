@@ -11,13 +11,14 @@
 #include "points/particle_source.h"
 #include "vdb_nns/lattice.h"
 
+#include <string>
+
 namespace vdb_nns {
 
 constexpr double kCellPadding = 1.0 / 65536;
 constexpr double kMaxErrorCells = 6.7e-6;          // E
 constexpr double kCellLimit = 2147483648.0 - 4096; // cell coordinates stay inside
-constexpr double kSmallestEdge =
-    1e-289; // its reciprocal, and the squares of what follows, are far from overflow
+constexpr double kSmallestEdge = 1e-289;           // world units; its reciprocal is a normal number
 constexpr double kUnevenVoxels = 1e-12; // relative: transforms that were composed have rounded entries
 
 // Whether a radius is below the edge of a voxel, by enough that neither rounding nor uneven edges matter.
@@ -55,6 +56,9 @@ void checkLattice(const Lattice& lattice);
 
 // The radius of a search that was asked for `radius`, 0 for the lattice's. Throws InvalidInput above that.
 double searchRadius(const Lattice& lattice, double radius);
+
+// The fewest digits that mean the number, for messages.
+std::string shortest(double value);
 
 // Whether cells of one lattice are the same cells for both: whether their stored coordinates mean the same.
 bool haveSameCoordinates(const ParticleSource& a, const ParticleSource& b);

@@ -169,7 +169,7 @@ void checkGridCapacity(const SparseGridData& grid, const GridNeed& need, std::ui
 
 namespace {
 
-// Nothing is in the grid where the lattice does not fit.
+// Where the lattice does not fit the grid is left in any state.
 LatticeFit sortIntoCells(const ParticleView& view, const Lattice& lattice, const SearchOptions& options,
                          GridScratch& scratch, SparseGridData& grid)
 {
@@ -226,14 +226,14 @@ void requireSuitable(const ParticleSource& source, const Lattice& lattice)
 {
     checkLattice(lattice);
     if (lattice.usesVoxels && !areCells(source, lattice)) {
-        throw InvalidInput("the lattice has voxels of edge " + std::to_string(lattice.cellSize) +
+        throw InvalidInput("the lattice has voxels of edge " + shortest(lattice.cellSize) +
                            " as cells, and the particles are not points of a VDB grid of such voxels: "
                            "use a lattice of cells of its own");
     }
     if (source.isArray() || lattice.usesVoxels) return;
     for (const double x : lattice.reference) {
         if (std::floor(x) != x || std::fabs(x) > kCellLimit) {
-            throw InvalidInput("the reference of the lattice, " + std::to_string(x) +
+            throw InvalidInput("the reference of the lattice, " + shortest(x) +
                                " on one axis, is no voxel: for VDB grids it must be a whole number inside "
                                "+-(2^31 - 4096)");
         }
