@@ -1,7 +1,7 @@
 # `cpack` makes two packages.
 # vdb_nns-VERSION-linux-x86_64.tar.gz: the program with all libraries that it needs but the C library, for machines that
 # have none of them. All of it is the component `portable`, which `cmake --install` leaves out unless asked.
-#   bin/vdb_nns   bin/gpu_*.sh   lib/vdb_nns/*.so*   LICENSE README.md INSTALL.txt   share/doc/vdb_nns/licenses/*
+#   bin/vdb_nns   bin/gpu_*.sh   lib/vdb_nns/*.so*   LICENSE README.md INSTALL.txt   share/doc/vdb_nns/*.md, licenses/*
 #   with CUDA: bin/vdb_nns_former, the program with the former kernels; and with tests: bin/test_cuda_gpu
 # What else goes into the archive: install(.. COMPONENT portable EXCLUDE_FROM_ALL), to bin/ if it is to be run.
 # vdb-nns_VERSION_amd64.deb: what `cmake --install` installs, under /usr, for the release of Debian that it was built on.
@@ -61,6 +61,8 @@ endif()
 configure_file("${PROJECT_SOURCE_DIR}/cmake/package_install.txt.in" "${PROJECT_BINARY_DIR}/portable/INSTALL.txt" @ONLY)
 install(FILES "${PROJECT_SOURCE_DIR}/LICENSE" "${PROJECT_SOURCE_DIR}/README.md"
     "${PROJECT_BINARY_DIR}/portable/INSTALL.txt" DESTINATION . ${portable})
+install(DIRECTORY "${PROJECT_SOURCE_DIR}/docs/" DESTINATION share/doc/vdb_nns ${portable}
+    FILES_MATCHING PATTERN "*.md" PATTERN images EXCLUDE)
 
 find_program(VDB_NNS_SHLIBDEPS dpkg-shlibdeps)
 find_program(VDB_NNS_FILE file) # which CPack tells programs by

@@ -1,4 +1,4 @@
-// Counts and reads the neighbors of particles held in a plain array.
+// Finds the neighbors of particles held in a plain array.
 #include <vdb_nns/search.h>
 
 #include <cstdio>
@@ -6,16 +6,14 @@
 
 int main()
 {
-    std::vector<float> xyz; // x y z triples: a lattice of 20^3 particles, 0.5 apart
-    for (int i = 0; i < 8000; ++i)
-        for (int digit : {i % 20, i / 20 % 20, i / 400}) xyz.push_back(0.5f * digit);
-
+    const std::vector<float> xyz = {0, 0, 0, 3, 4, 0, 3, 4, 1, 9, 9, 9}; // four particles: x y z, x y z, ...
     const auto view = vdb_nns::ParticleView::fromArray(xyz.data(), xyz.size() / 3);
-    const vdb_nns::NeighborLists lists = vdb_nns::findNeighbors(view, 1.0);
+    const vdb_nns::NeighborLists lists = vdb_nns::findNeighbors(view, 5.0);
 
-    std::printf("%llu pairs; the first particle has %u neighbors:", (unsigned long long)lists.pairCount(),
-                lists.count(0));
-    lists.forEachNeighbor(0, [](unsigned neighbor) { std::printf(" %u", neighbor); });
-    std::printf("\n");
-    return lists.count(0) == 10 ? 0 : 1; // three of them at exactly 1.0: ties count
+    for (std::size_t i = 0; i < lists.size(); ++i) {
+        std::printf("particle %zu has %u neighbors:", i, lists.count(i));
+        lists.forEachNeighbor(i, [](unsigned neighbor) { std::printf(" %u", neighbor); });
+        std::printf("\n");
+    }
+    return lists.pairCount() == 4 ? 0 : 1; // 0 and 1 are exactly 5 apart: that is within the radius
 }

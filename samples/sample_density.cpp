@@ -43,7 +43,7 @@ std::vector<Particle> makeWater(int edge, float spacing)
 
 int main()
 {
-    const float spacing = 0.01f; // metres
+    const float spacing = 0.01f; // meters
     const double radius = 2.5 * spacing;
     const double mass = 1000.0 * spacing * spacing * spacing; // kilograms a particle: water
     const int edge = 40;

@@ -1,4 +1,4 @@
-// The exceptions of the library, one per kind of fault. The library never prints and never exits.
+// The exceptions of the library, one for each kind of fault. The library never prints and never exits.
 #pragma once
 
 #include <cstdint>
@@ -7,7 +7,8 @@
 
 namespace vdb_nns {
 
-/// Base of everything the library throws on purpose. `what()` names the number that broke, the limit and the next step.
+/// Base of everything that the library throws on purpose. `what()` names the number that broke, the limit and
+/// the next step.
 class Error : public std::runtime_error {
 public:
     using std::runtime_error::runtime_error;
@@ -19,14 +20,14 @@ public:
     using Error::Error;
 };
 
-/// The particles cannot be read or are not supported: a missing or damaged file, a frustum transform, coordinates out
-/// of range.
+/// The particles cannot be read or are not supported: a missing or damaged file, a frustum transform,
+/// coordinates out of range.
 class InputError : public Error {
 public:
     using Error::Error;
 };
 
-/// Something does not fit the memory it may use.
+/// Something does not fit the memory that it may use.
 class CapacityError : public Error {
 public:
     CapacityError(const std::string& message, std::uint64_t neededBytes, std::uint64_t allowedBytes)
@@ -34,7 +35,7 @@ public:
     {
     }
 
-    /// Bytes that the result needs; exact, or an estimate where the message says "about".
+    /// Bytes that the result needs: exact, or an estimate if the message says "about".
     std::uint64_t neededBytes() const { return mNeededBytes; }
     /// Bytes that the options or the machine allow.
     std::uint64_t allowedBytes() const { return mAllowedBytes; }
@@ -43,19 +44,19 @@ private:
     std::uint64_t mNeededBytes, mAllowedBytes;
 };
 
-/// An output file exists already and overwriting it was not asked for, or is not a regular file.
+/// An output file exists and the caller did not ask to overwrite it, or it is not a regular file.
 class OutputExists : public InvalidInput {
 public:
     using InvalidInput::InvalidInput;
 };
 
-/// An output file cannot be written: disk full, permission, size limit.
+/// An output file cannot be written: disk full, no permission, size limit.
 class OutputError : public Error {
 public:
     using Error::Error;
 };
 
-/// A device that was asked for is not there, or failed.
+/// The device asked for is not there, or it failed.
 class DeviceError : public Error {
 public:
     using Error::Error;

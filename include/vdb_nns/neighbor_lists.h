@@ -16,29 +16,30 @@ struct NeighborListsData; // src/lists/neighbor_lists_data.h
 class ParticleView;
 class SparseGrid;
 
-/// Neighbor lists as compressed sparse rows: row i is indices[offsets[i]] to indices[offsets[i+1]], ascending.
+/// Neighbor lists as compressed sparse rows: row i is indices[offsets[i]] to indices[offsets[i+1]],
+/// ascending.
 struct Csr {
     std::vector<std::uint64_t> offsets; ///< size()+1 values
     std::vector<std::uint32_t> indices;
 };
 
 struct ListStatistics {
-    std::uint64_t pairs = 0; ///< ordered pairs (query, neighbor)
-    std::uint32_t min = 0;   ///< fewest neighbors of a particle
-    double mean = 0;         ///< pairs / particles; 0 without particles
-    std::uint32_t max = 0;
+    std::uint64_t pairs = 0;    ///< ordered pairs (query, neighbor)
+    std::uint32_t min = 0;      ///< fewest neighbors of a particle
+    double mean = 0;            ///< pairs / particles; 0 without particles
+    std::uint32_t max = 0;      ///< most neighbors of a particle
     std::uint64_t isolated = 0; ///< particles without a neighbor, non-finite ones included
 };
 
-/// The result of a search: for every particle its neighbors. Immutable; a cheap handle whose copies share the data,
-/// which stays valid for as long as a handle lives, whatever the engine that made it does next. Safe to read from
-/// several threads, and from inside of parallel work (search.h).
+/// The result of a search: the neighbors of every particle. Immutable; a cheap handle whose copies share the
+/// data. The data stays valid while any handle lives, whatever the engine that made it does next. Safe to
+/// read from several threads, and from inside parallel work (search.h).
 ///
-/// A particle's number i is below size(); it is not checked.
+/// The number i of a particle must be below size(); that is not checked.
 ///
-/// A list holds particle numbers of the ParticleView in cell-visiting order: by the neighbor's cell, (x, y, z)
-/// lexicographic, and by number inside a cell; the same for both encodings. The particle itself is not in its list;
-/// particles at the same place are.
+/// A list holds particle numbers of the ParticleView in cell-visiting order: by the neighbor's cell, (x, y,
+/// z) lexicographic, and by number inside a cell. The order is the same for both encodings. A particle is not
+/// in its own list; others at the same place are.
 class NeighborLists {
 public:
     NeighborLists();
@@ -52,16 +53,16 @@ public:
     /// Number of neighbors of particle i. Constant time.
     std::uint32_t count(std::size_t i) const;
 
-    /// Counts of all particles, by number.
+    /// Counts of all particles, by particle number.
     std::vector<std::uint32_t> counts() const;
 
-    /// The list of particle i where it is stored as numbers: a view of the lists' own memory, valid for as long as a
-    /// handle of these lists lives.
+    /// The list of particle i, if lists are stored as numbers: a view of their own memory, valid while a
+    /// handle of these lists lives. Constant time.
     /// @throws InvalidInput unless encoding() is kIndex
     Span<const std::uint32_t> indices(std::size_t i) const;
 
-    /// The list of particle i in either encoding, placed into `out` (which is resized).
-    /// With masks, the first call makes a directory of 8 bytes an occupied cell.
+    /// Writes the list of particle i, in either encoding, to `out`, which is resized. With masks, the first
+    /// call makes a directory of 8 bytes for each occupied cell.
     /// @throws InvalidInput with encoding kNone
     void neighbors(std::size_t i, std::vector<std::uint32_t>& out) const;
 
@@ -81,19 +82,19 @@ public:
 
     using RowVisitor = std::function<void(std::uint32_t query, Span<const std::uint32_t> neighbors)>;
 
-    /// Hands every particle of the grid its list, in storage order split over the caller's TBB arena: `visit` is called
-    /// from several threads at once, once for each finite particle; the numbers are valid during the call. The fastest way
-    /// to read all lists.
-    /// @throws InvalidInput with encoding kNone, and what `visit` throws
+    /// Calls `visit` once for every finite particle with its list: the fastest way to read all lists. The
+    /// work is split in storage order over the caller's TBB arena, so `visit` is called from several threads
+    /// at once. The span is valid during the call.
+    /// @throws InvalidInput with encoding kNone, and whatever `visit` throws
     void visitRows(const RowVisitor& visit) const;
 
-    /// All lists sorted ascending. Cost: the copy and a sort of every row. Memory: 4 bytes a pair and 8 a particle beside
-    /// these lists, and 4 more a particle while it is made; no option bounds it.
+    /// All lists, each sorted ascending. Cost: the copy and a sort of every row. Memory: 4 bytes a pair and 8
+    /// a particle beside these lists, and 4 more a particle while it runs; no option bounds it.
     /// @throws InvalidInput with encoding kNone; Cancelled; std::bad_alloc
     Csr toCsr(Progress* progress = nullptr) const;
 
-    /// Sum over ordered pairs (i, j) of mix64(i * 2^32 + j) modulo 2^64, mix64 the finaliser of SplitMix64
-    /// (Steele, Lea, Flood 2014): equal for equal sets of pairs, whatever the order.
+    /// Sum over ordered pairs (i, j) of mix64(i * 2^32 + j) modulo 2^64, where mix64 is the finalizer of
+    /// SplitMix64 (Steele, Lea, Flood 2014). Equal for equal sets of pairs, whatever their order.
     /// @throws InvalidInput with encoding kNone; Cancelled
     std::uint64_t checksum(Progress* progress = nullptr) const;
 

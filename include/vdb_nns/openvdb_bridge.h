@@ -12,17 +12,17 @@
 
 namespace vdb_nns {
 
-/// Views the positions of a point grid; nothing is copied and nothing is decoded yet.
-/// Particles are numbered in the order of `tree().cbeginLeaf()` and inside a leaf in attribute order.
-/// @throws InputError for a non-linear transform, a singular matrix, a P that is missing or is not vec3s with codec null,
-///         trnc, fxpt16 or fxpt8, leaf offsets that do not validate, or out-of-core leaves
+/// Views the positions of a point grid. Nothing is copied, and nothing is decoded yet. Particles are numbered
+/// in the order of `tree().cbeginLeaf()`, and inside a leaf in attribute order.
+/// @throws InputError for a non-linear transform, a singular matrix, a P that is missing or is not vec3s with
+///         codec null, trnc, fxpt16 or fxpt8, leaf offsets that do not validate, or out-of-core leaves
 /// @throws InvalidInput for a null grid or more than 2^32-1 points
 ParticleView viewOf(const openvdb::points::PointDataGrid::ConstPtr& grid);
 
-/// Adds or replaces the int32 attribute `name` of a point grid; other attributes are left as they are.
+/// Adds or replaces the int32 attribute `name` of a point grid. Other attributes are left as they are.
 /// @param values one value a point, in the numbering of viewOf().
-/// @throws InvalidInput if the sizes differ, a value is above 2^31-1, the name is not valid, the attribute exists and
-///         `overwrite` is false, or it is P or a group
+/// @throws InvalidInput if the sizes differ, a value is above 2^31-1, the name is not valid, the attribute
+///         exists and `overwrite` is false, or it is P or a group
 /// @throws InputError if the leaves do not share one set of attributes
 void setPointAttribute(openvdb::points::PointDataGrid& grid, const std::string& name,
                        Span<const std::uint32_t> values, bool overwrite = false);

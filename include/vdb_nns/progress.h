@@ -1,21 +1,21 @@
-// How long steps tell where they are and are stopped.
+// How long steps report their progress and are stopped.
 #pragma once
 
 namespace vdb_nns {
 
-/// Called from worker threads, possibly several at once: an implementation must be thread-safe and cheap.
-/// What it throws leaves the step as it is.
+/// Called from worker threads, possibly several at once: an implementation must be thread-safe and cheap. An
+/// exception that it throws leaves the step as it is.
 class Progress {
 public:
     virtual ~Progress() = default;
 
-    /// @param step a short name of the step that runs, e.g. "grid", "search", "write"; a string literal.
-    /// @param fraction of that step that is done, 0 to 1; never decreases within one step for one thread.
+    /// @param step short name of the step that runs, e.g. "grid", "search", "write"; a string literal.
+    /// @param fraction of that step that is done, 0 to 1; within a step it never decreases for one thread.
     virtual void update(const char* step, double fraction) = 0;
 
-    /// When true is returned, the running step stops within 0.3 s of each thread's work and throws
-    /// `Cancelled`. Not so while a device searches a block, or OpenVDB measures, extends or frees a tree of more
-    /// than half a million leaves. Writers ask for the last time before the file appears.
+    /// Once this returns true, the running step throws `Cancelled`, within 0.3 s of work of each thread. It
+    /// cannot stop a device that searches a block, nor OpenVDB while it measures, extends or frees a tree of
+    /// more than half a million leaves. Writers ask for the last time before the file appears.
     virtual bool cancelled() const { return false; }
 };
 

@@ -12,10 +12,12 @@
 
 namespace vdb_nns {
 
-/// Parameters of a scene; empty ones take the scene's default. A scene's name, count and parameters fix every bit.
+/// Parameters of a scene; empty ones take the default of the scene. Name, count and parameters determine
+/// every bit.
 struct SceneOptions {
-    std::string name;        ///< one of sceneNames()
-    std::uint64_t count = 0; ///< met exactly; a lattice is a full cube for n^3, else its last slab is cut
+    std::string name; ///< one of sceneNames()
+    /// Particles, met exactly. A lattice is a full cube if this is n^3; otherwise its last slab is cut.
+    std::uint64_t count = 0;
     std::uint64_t seed = 1;
     std::optional<double> spacing;      ///< h, world units
     std::optional<double> radiusFactor; ///< suggested radius / h
@@ -41,12 +43,13 @@ struct SceneName {
 const std::vector<SceneName>& sceneNames();
 
 /// Makes the particles of a scene.
-/// @throws InvalidInput for an unknown name, a count of 0 or past 2^32-1, or a parameter out of range or of another
-///         scene
+/// @throws InvalidInput for an unknown name, a count of 0 or above 2^32-1, or a parameter that is out of
+///         range or belongs to another scene
 Scene makeScene(const SceneOptions& options, Progress* progress = nullptr);
 
-/// Writes a scene as a .vdb with one point grid named `points`, P with `options.codec`, and the radius in the grid's
-/// metadata (float64 `suggested_radius`). The same options give the same bytes but for the UUID that OpenVDB draws.
+/// Writes a scene as a .vdb with one point grid named `points`, P with `options.codec`, and the radius in the
+/// grid's metadata (float64 `suggested_radius`). The same options give the same bytes, except for the UUID
+/// that OpenVDB draws.
 /// @throws OutputExists, OutputError, InvalidInput (unknown codec), Cancelled
 void writeScene(const std::string& path, const Scene& scene, const SceneOptions& options,
                 const OutputOptions& output = {}, Progress* progress = nullptr);

@@ -17,15 +17,18 @@ struct Schedule;
 struct DeviceLimits;
 struct RunOptions;
 struct ScheduleRun;
+struct JobOptions; // search_job.h
+struct JobReport;
+struct JobPlan;
 
-/// Called once for every finite particle: its number, its neighbors and their world distances
+/// Called once for every finite particle, with its number, its neighbors and their world distances
 /// (ParticleView::distance), in cell-visiting order. Called from several threads at once; the spans are valid
-/// during the call. It may run parallel work of its own, and searches with other engines: until it returns,
-/// its thread is handed no other query.
+/// during the call. A visitor may run parallel work of its own, and searches with other engines: until it
+/// returns, its thread is given no other query.
 using NeighborVisitor = std::function<void(std::uint32_t query, Span<const std::uint32_t> neighbors,
                                            Span<const double> distances)>;
 
-/// The same without distances, which cost more to compute than neighbors to find.
+/// The same without distances, which cost more to compute than neighbors cost to find.
 using RowVisitor = NeighborLists::RowVisitor;
 
 /// What the last run did: for reports.
@@ -36,17 +39,18 @@ struct SearchStatistics {
     SimdLevel simd = SimdLevel::kScalar; ///< instruction set that ran
 };
 
-/// Finds neighbors, frame after frame. Keeps its memory between runs, and reuses it once the results of an
-/// earlier run are gone. One thread at a time may call it, and none while it runs, a visitor of its own
-/// included; inside it uses the TBB arena that the caller is in.
+/// Finds neighbors, frame after frame. An engine keeps its memory between runs, and reuses it once the
+/// results of an earlier run are gone. It works inside the TBB arena of its caller.
 ///
-/// What may be nested: every function of the library may be called inside TBB tasks. While a thread waits in
-/// such a call, it runs none of the caller's other tasks. So an engine for each thread,
-/// tbb::enumerable_thread_specific<SearchEngine>, is fine for frames in a parallel loop. Visitors and a
-/// Progress may run parallel work of their own.
+/// Threads: one thread at a time may call an engine, and nobody may call it while it runs, not even a visitor
+/// of its own. Every function of the library may be called inside TBB tasks; while a thread waits in such a
+/// call, it runs none of the caller's other tasks. So one engine for each thread, as in
+/// tbb::enumerable_thread_specific<SearchEngine>, serves frames in a parallel loop. Visitors and a Progress
+/// may run parallel work of their own.
 ///
-/// Membership (all functions here): i and j are neighbors iff i != j and their distance is <= radius in real
-/// arithmetic; no rounding decides. Self is excluded by number: particles at the same place are neighbors.
+/// Membership, in all functions here: i and j are neighbors iff i != j and their distance is <= radius in
+/// real arithmetic; no rounding decides. A particle is excluded from its own list by number, so particles at
+/// the same place are neighbors.
 class SearchEngine {
 public:
     SearchEngine();
@@ -55,59 +59,75 @@ public:
     SearchEngine& operator=(SearchEngine&&) noexcept;
 
     /// Sorts the particles into a sparse grid, on the lattice that suits them and the radius (chooseLattice()).
-    /// @param radius world units, > 0 and finite.
     /// Cost: about 2 passes over the particles and 16 bytes a particle.
+    /// @param radius world units, > 0 and finite.
     /// @throws InvalidInput for a bad radius or option
-    /// @throws InputError when a cell coordinate would pass +-(2^31 - 4096), with the extent, the cell edge
-    ///         and the smallest radius that works; or for a non-finite particle under NonFinite::kFail
+    /// @throws InputError if a cell coordinate would pass +-(2^31 - 4096), with the extent, the cell edge and
+    ///         the smallest radius that works; or for a non-finite particle under NonFinite::kFail
     /// @throws CapacityError, Cancelled
     SparseGrid buildGrid(const ParticleView& view, double radius, const SearchOptions& options = {});
 
-    /// Sorts the particles of a view on a lattice that is given. Views that are sorted on one lattice have the same cells.
-    /// @param options `cellSize` and `wideCells` are not read.
+    /// Sorts the particles of a view on a lattice that is given: views that are sorted on one lattice have the
+    /// same cells.
     /// Cost: as above, without what choosing cells takes.
-    /// @throws InvalidInput for a lattice with a bad edge, reach or radius; for one that does not suit the view: a reference
-    ///         that is no voxel of a VDB grid, or voxels as cells where the view has none of that edge; for a bad option
-    /// @throws InputError when a cell coordinate would pass +-(2^31 - 4096), or the transform is too nearly singular for the
-    ///         cells, with the extent and the smallest cells that work; with voxels as cells for a particle outside its
-    ///         voxel; for a non-finite particle under NonFinite::kFail
+    /// @param options `cellSize` and `wideCells` are not read.
+    /// @throws InvalidInput for a lattice with a bad edge, reach or radius; for one that does not suit the view (a
+    ///         reference that is no voxel of a VDB grid, or voxels as cells where the view has none of that
+    ///         edge); for a bad option
+    /// @throws InputError if a cell coordinate would pass +-(2^31 - 4096), or the transform is too nearly singular
+    ///         for the cells, with the extent and the smallest cells that work; with voxels as cells for a
+    ///         particle outside its voxel; for a non-finite particle under NonFinite::kFail
     /// @throws CapacityError, Cancelled
     SparseGrid buildGrid(const ParticleView& view, const Lattice& lattice, const SearchOptions& options = {});
 
     /// Makes the lists of all particles of a grid, in options.encoding, with options.radius.
-    /// @throws CapacityError before the memory is gone, when the lists cannot fit
+    /// @throws CapacityError if the lists cannot fit, before the memory is gone
     /// @throws InvalidInput for a radius above that of the grid's lattice, or a bad option; Cancelled
     NeighborLists search(const SparseGrid& grid, const SearchOptions& options = {});
 
-    /// Runs a schedule of makeSchedule() on `devices`, which it was made for, and on TBB workers: the same
-    /// lists, byte for byte, as search() makes, in the schedule's encoding and with options.search.radius, which the estimate
-    /// should have been made for. A block that outgrows its
-    /// estimate is split and redone; a device that refuses memory is asked for less, and what fits no device
-    /// is run by TBB workers; `report` counts all of that.
-    /// Host memory besides the lists: what the devices hold in their buffers, once for staging; for simulated
-    /// devices once more.
-    /// @throws DeviceError when a device fails, under DeviceFailure::kStop, or is not there
-    /// @throws CapacityError when the lists cannot fit beside that
-    /// @throws InvalidInput for a schedule of another grid or a radius above that of the grid's lattice; Cancelled
+    /// Runs a schedule of makeSchedule() on `devices`, which must be those that it was made for, and on TBB
+    /// workers. The lists are those of search(), byte for byte, in the encoding of the schedule, with
+    /// options.search.radius, for which the estimate should have been made. A block that outgrows its estimate
+    /// is split and redone; a device that refuses memory is asked for less; what fits
+    /// no device is run by TBB workers. `report` counts all of that. Host memory besides the lists: staging
+    /// memory as large as the devices' buffers, and as much again for simulated devices.
+    /// @throws DeviceError if a device is not there, or fails under DeviceFailure::kStop
+    /// @throws CapacityError if the lists cannot fit beside that memory
+    /// @throws InvalidInput for a schedule of another grid, or a radius above that of the grid's lattice;
+    ///         Cancelled
     NeighborLists search(const SparseGrid& grid, const Schedule& schedule,
                          const std::vector<DeviceLimits>& devices, const RunOptions& options,
                          ScheduleRun& report);
 
-    /// Hands every query its neighbors without storing lists.
+    /// Gives each query's neighbors to a visitor, without storing lists.
     /// @param options `encoding` has no meaning here; `hostMemoryBytes` is not read.
-    /// @throws InvalidInput as search(), Cancelled, and what `visitor` throws
+    /// @throws InvalidInput as search(), Cancelled, and whatever `visitor` throws
     void visit(const SparseGrid& grid, const NeighborVisitor& visitor, const SearchOptions& options = {});
 
     /// The same without distances.
-    /// @throws as visit()
+    /// @throws as visit() does
     void visitRows(const SparseGrid& grid, const RowVisitor& visitor, const SearchOptions& options = {});
 
-    /// buildGrid() and search().
+    /// buildGrid(), then search().
     NeighborLists findNeighbors(const ParticleView& view, double radius, const SearchOptions& options = {});
+
+    /// The whole job: on the CPU or on devices, under a bound of host memory, with another way of holding lists where the
+    /// first does not fit. The same lists, byte for byte, wherever they are found; what the program's `search` does.
+    /// With a bound of memory the engine starts afresh. A Progress is told of the steps "grid"; "estimate" and "plan" where
+    /// there are devices; "search".
+    /// @throws CapacityError when nothing that is allowed fits, with what takes the memory; DeviceError when a device fails
+    ///         under DeviceFailure::kStop; and as buildGrid() and makePlan(): InvalidInput, InputError, Cancelled
+    NeighborLists findNeighbors(const ParticleView& view, double radius, const JobOptions& options,
+                                JobReport& report);
+
+    /// Plans a job without running it, in full, also for the CPU alone.
+    /// @throws as the job
+    JobPlan planJob(const ParticleView& view, double radius, const JobOptions& options);
 
     const SearchStatistics& statistics() const;
 
-    /// Closes the devices of the last run with a schedule, which are kept with their memory for the next one.
+    /// Closes the devices of the last run with a schedule. Otherwise they stay open, with their memory, for
+    /// the next run.
     void releaseDevices();
 
 private:
@@ -118,20 +138,20 @@ private:
 /// The whole job in one call; see SearchEngine.
 NeighborLists findNeighbors(const ParticleView& view, double radius, const SearchOptions& options = {});
 
-/// Number of neighbors of every particle, by number; no lists are stored.
+/// Number of neighbors of every particle, by particle number. No lists are stored.
 std::vector<std::uint32_t> countNeighbors(const ParticleView& view, double radius,
                                           const SearchOptions& options = {});
 
-/// Hands every query its neighbors without storing lists; see SearchEngine::visit.
+/// Gives each query's neighbors to a visitor, without storing lists; see SearchEngine::visit.
 void visitNeighbors(const ParticleView& view, double radius, const NeighborVisitor& visitor,
                     const SearchOptions& options = {});
 
-/// Pairs of a query and a particle of the cells within reach of its own, itself included: what the search
-/// would test without any pruning, and the number of bits of all mask rows. Cost: one pass over the occupied
-/// cells.
+/// Number of pairs of a query and a particle in the cells within reach of its own, itself included. That is
+/// what the search would test without any pruning, and the number of bits of all mask rows. Cost: one pass
+/// over the occupied cells.
 std::uint64_t countCandidateTests(const SparseGrid& grid);
 
-/// The widest instruction set of this processor that the search has code for.
+/// The widest instruction set of this processor for which the search has code.
 SimdLevel bestSimdLevel();
 const char* simdLevelName(SimdLevel level);
 

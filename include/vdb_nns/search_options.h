@@ -9,9 +9,13 @@ namespace vdb_nns {
 
 /// How neighbor lists are held in memory.
 enum class Encoding {
-    kIndex, ///< 4 bytes for each neighbor: its number. Fast to read.
-    kMask, ///< one bit for each candidate of the cells in reach, decoded when read: in fluids 0.5 to 1 byte a neighbor.
-    kNone ///< counts only.
+    /// 4 bytes for each neighbor: its number. Fast to read.
+    kIndex,
+    /// One bit for each candidate of the cells in reach, decoded when read: in fluids 0.5 to 1 byte a
+    /// neighbor.
+    kMask,
+    /// Counts only.
+    kNone
 };
 
 /// What to do with particles whose position is NaN or infinite.
@@ -34,23 +38,25 @@ struct SearchOptions {
 
     static constexpr double kSmallestCell = 0.33, kLargestCell = 4;
 
-    /// Cell edge in radii, kSmallestCell to kLargestCell; a hair is added to it. The radius spans the next whole number of
-    /// cells, 1 to 3 (SparseGrid::reach()). 0.5 makes masks smaller.
-    /// 0: as suits the input. That is the voxels of a VDB grid where they serve as cells (a transform that does nothing
-    /// but scale, radius between half a voxel's edge and one, every offset P within 1/2), which saves the sort; else
-    /// chosen by how dense the particles are: 0.5, 1, 1.5, 2 or 3.
+    /// Cell edge in radii, kSmallestCell to kLargestCell, padded by 1/65536. The radius spans the next whole
+    /// number of cells, 1 to 3 (SparseGrid::reach()). 0.5 makes masks smaller.
+    /// 0: chosen to suit the input. The voxels of a VDB grid are taken if they can serve as cells, which
+    /// saves the sort: the transform must only scale, the radius lie between half a voxel's edge and one, and
+    /// every offset P be within 1/2. Otherwise the density of the particles decides: 0.5, 1, 1.5, 2 or 3.
     double cellSize = 0;
 
-    /// Whether a size that is chosen may be above 1, which is faster where few cells hold many particles and makes masks
-    /// larger: three times on sprays, up to four where there are few neighbors. Not where hostMemoryBytes is set.
+    /// Whether a chosen size may be above 1. Such cells are faster if few of them hold many particles, but
+    /// they make masks larger: three times on sprays, up to four times if there are few neighbors. Taken as
+    /// false if hostMemoryBytes is set.
     bool wideCells = true;
 
     NonFinite nonfinite = NonFinite::kSkip;
 
-    /// kBest takes the widest that the processor has; a level that it does not have is InvalidInput.
+    /// kBest takes the widest that the processor has. A level that it does not have is InvalidInput.
     SimdLevel simd = SimdLevel::kBest;
 
-    /// Bytes that grid, its sort and lists may use together; 0: what the machine (or its cgroup) has free, less a reserve.
+    /// Bytes that the grid, its sort and the lists may use together. 0: what the machine (or its control
+    /// group) has free, less a reserve (availableMemoryBytes()).
     std::uint64_t hostMemoryBytes = 0;
 
     /// Told how far a step is, and asked whether to stop; may be null.

@@ -15,11 +15,11 @@ struct SparseGridData; // src/grid/sparse_grid_data.h
 
 /// Immutable; a cheap handle whose copies share the data. Safe to read from several threads.
 ///
-/// Space is cut into the cells of lattice(); 8^3 cells are a leaf, and the tree above the leaves is OpenVDB's (nodes of
-/// 128^3 and 4096^3 cells).
-/// Only occupied leaves exist. Leaves stand in Morton order within a 4096^3 node, so every octant of a node is a
-/// contiguous range of leaves. Inside a leaf the cells stand in OpenVDB's linear order, (x * 8 + y) * 8 + z, and inside
-/// a cell the particles stand by number. A slot is a particle's place in that order.
+/// Space is cut into the cells of lattice(). 8^3 cells are a leaf, and only occupied leaves exist. The tree
+/// above them is OpenVDB's, with nodes of 128^3 and 4096^3 cells. Leaves stand in Morton order within a
+/// 4096^3 node, so every octant of a node is a contiguous range of leaves. Inside a leaf the cells stand in
+/// OpenVDB's linear order, (x * 8 + y) * 8 + z, and inside a cell the particles stand by number. A slot is a
+/// particle's place in that order.
 class SparseGrid {
 public:
     /// An empty grid.
@@ -27,11 +27,11 @@ public:
     explicit SparseGrid(std::shared_ptr<const SparseGridData> data);
 
     struct Leaf {
-        Vec3i origin;               ///< cell coordinates of the lowest cell
-        std::uint64_t occupancy[8]; ///< bit z of byte y of word x: the cell holds a particle
-        std::uint64_t firstSlot;    ///< slot of its first particle
-        std::uint64_t particleCount;
-        std::uint64_t firstCell; ///< number of its first occupied cell, counted over all leaves before
+        Vec3i origin;                ///< cell coordinates of the lowest cell
+        std::uint64_t occupancy[8];  ///< bit 8 y + z of word x: the cell holds a particle
+        std::uint64_t firstSlot;     ///< slot of its first particle
+        std::uint64_t particleCount; ///< particles in the leaf
+        std::uint64_t firstCell;     ///< occupied cells in all leaves before it
     };
 
     bool empty() const { return particleCount() == 0; }
@@ -41,14 +41,14 @@ public:
     double cellSize() const { return lattice().cellSize; } ///< world units
     std::uint64_t particleCount() const;                   ///< particles in the grid: all finite ones
     std::uint64_t nonfiniteCount() const; ///< particles left out because a coordinate is NaN or infinite
-    std::uint64_t leafCount() const;
-    std::uint64_t cellCount() const; ///< occupied cells
-    std::uint64_t bytes() const;     ///< memory held, tree included
+    std::uint64_t leafCount() const;      ///< occupied leaves
+    std::uint64_t cellCount() const;      ///< occupied cells
+    std::uint64_t bytes() const;          ///< memory held, tree included
 
     /// @param index below leafCount(); not checked.
     Leaf leaf(std::uint64_t index) const;
 
-    /// Particle numbers by slot. Valid for as long as a handle of this grid lives.
+    /// Particle numbers by slot. Valid while a handle of this grid lives.
     Span<const std::uint32_t> particleNumbers() const;
 
     const ParticleView& view() const;

@@ -22,7 +22,7 @@ struct ResultHead {
 };
 
 struct UndecidedPair {
-    std::uint32_t query;     // the how manieth of the block's
+    std::uint32_t query;     // counted from the first one of the block
     std::uint32_t candidate; // its number
     std::uint64_t bit;       // of all rows, masks only
 };

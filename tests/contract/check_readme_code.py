@@ -1,4 +1,4 @@
-"""Runs what README.md shows: its `build/vdb_nns` commands on a smaller scene, then its Python blocks on what they wrote.
+"""Runs what the documents show: their `build/vdb_nns` commands on a smaller scene, then their Python blocks on what they wrote.
 
     check_readme_code.py SOURCE_DIR VDB_NNS [VDB_NNS_EMULATED]
 
@@ -11,12 +11,26 @@ import subprocess
 import sys
 import tempfile
 
+# In this order: the commands of README.md make the scene and the lists that the others use. As many as each page must have, so
+# that a block that moves to a page that is not read here is missed.
+PAGES = {  # page: (commands, Python blocks)
+    "README.md": (3, 1),
+    "docs/cli.md": (7, 0),
+    "docs/gpu.md": (3, 0),
+    "docs/python.md": (0, 2),
+}
+
 source, program, *emulated = map(os.path.abspath, sys.argv[1:])
-with open(os.path.join(source, "README.md"), encoding="utf-8") as file:
-    blocks = re.findall(r"^```(\w+)\n(.*?)^```", file.read(), re.M | re.S)
-commands = [line for kind, text in blocks if kind == "sh" for line in text.splitlines() if line.startswith("build/vdb_nns")]
-snippets = [text for kind, text in blocks if kind == "python"]
-assert len(commands) >= 4 and len(snippets) == 2, (commands, snippets)
+commands, snippets = [], []
+for page, (fewest_commands, fewest_snippets) in PAGES.items():
+    with open(os.path.join(source, page), encoding="utf-8") as file:
+        blocks = re.findall(r"^```(\w+)\n(.*?)^```", file.read(), re.M | re.S)
+    lines = [line for kind, text in blocks if kind == "sh" for line in text.splitlines()]
+    of_page = [line for line in lines if line.startswith("build/vdb_nns")]
+    snippets_of_page = [text for kind, text in blocks if kind == "python"]
+    assert len(of_page) >= fewest_commands and len(snippets_of_page) >= fewest_snippets, (page, of_page, snippets_of_page)
+    commands += of_page
+    snippets += snippets_of_page
 
 with tempfile.TemporaryDirectory() as folder:
     os.chdir(folder)
@@ -35,4 +49,4 @@ with tempfile.TemporaryDirectory() as folder:
     assert (lists.indptr == names["indptr"]).all() and (lists.indices == names["indices"]).all()
     assert len(names["neighbors_of_7"]) == lists.indptr[8] - lists.indptr[7]
     assert lists.nnz > 20000, "a scene of 20000 particles has more pairs than particles"
-print(f"{len(commands)} commands and {len(snippets)} Python blocks of README.md work")
+print(f"{len(commands)} commands and {len(snippets)} Python blocks of {', '.join(PAGES)} work")

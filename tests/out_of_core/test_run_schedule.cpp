@@ -63,8 +63,9 @@ private:
     mutable SearchStatistics mStatistics[3];
 };
 
-const Case& sceneCase(const std::string& name)
+const Case& sceneCase(const char* scene)
 {
+    const std::string name(scene);
     static const SceneGrid kBlock("block", 12000), kClusters("clusters", 5000), kSpray("spray", 6000),
         kSheet("sheet", 6000);
     static const Case kCases[] = {Case(kBlock.grid), Case(kClusters.grid), Case(kSpray.grid),

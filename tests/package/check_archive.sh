@@ -35,7 +35,7 @@ tar -xzf "$archive" -C "$root/place one"
 package="$root/place one/$name"
 
 find "$package" -type l -o -type f | sed "s|^$package/||" | sort >"$work/files"
-for file in bin/vdb_nns bin/gpu_bench.sh bin/gpu_check.sh bin/gpu_session.sh share/vdb_nns/chart.py LICENSE README.md INSTALL.txt; do
+for file in bin/vdb_nns bin/gpu_bench.sh bin/gpu_check.sh bin/gpu_session.sh share/vdb_nns/chart.py share/doc/vdb_nns/cli.md LICENSE README.md INSTALL.txt; do
     grep -qx "$file" "$work/files" || fail "no $file in the package"
 done
 ! grep -vE '^(bin/vdb_nns(_former)?|bin/test_cuda_gpu|bin/gpu_(bench|check|session)\.sh|LICENSE|README\.md|INSTALL\.txt|lib/vdb_nns/lib[^/]*\.so[^/]*|share/doc/vdb_nns/.*|share/vdb_nns/(chart|charts/[a-z_]+)\.py)$' "$work/files" ||

@@ -43,8 +43,9 @@ struct Problem : EstimatedGrid {
     std::shared_ptr<const SceneGrid> scene; // the grid's positions
 };
 
-const Problem& problemOf(const std::string& name)
+const Problem& problemOf(const char* scene)
 {
+    const std::string name(scene);
     static const Problem kBlock("block", 8000), kClusters("clusters", 6000), kSpray("spray", 4000);
     return name == "block" ? kBlock : name == "clusters" ? kClusters : kSpray;
 }

@@ -191,7 +191,7 @@ std::string namedDevice(const BenchFlags& flags)
 std::string suitingDevice(const BenchFlags& flags, int threads)
 {
     if (flags.device.device != "auto" || !flags.methods.empty()) return namedDevice(flags);
-    return deviceRequest(flags.device, threads).devices.empty() ? "" : "cuda";
+    return deviceOptions(flags.device, threads).devices.empty() ? "" : "cuda";
 }
 
 BenchPlan checkFlags(const BenchFlags& flags)

@@ -101,7 +101,7 @@ void addInputFlags(CLI::App& app, InputFlags& flags, bool withRadius)
         ->check(notEmpty());
     if (withRadius) {
         app.add_option("-r,--radius", flags.radius,
-                       "radius in world units; default: the one that the file suggests")
+                       "radius in world units; default: the one the file suggests")
             ->type_name("RADIUS")
             ->check(notEmpty());
     }
@@ -110,8 +110,8 @@ void addInputFlags(CLI::App& app, InputFlags& flags, bool withRadius)
 void addEngineFlags(CLI::App& app, EngineFlags& flags)
 {
     app.add_option("--host-memory", flags.hostMemory,
-                   "most memory that the program may use, the points included (KB MB GB: powers of 1000; "
-                   "K M G T KiB MiB GiB: of 1024); default: what is free, less a reserve")
+                   "most memory the program may use, including the points (KB MB GB: powers of 1000; "
+                   "K M G T KiB MiB GiB: powers of 1024); default: what is free, less a reserve")
         ->type_name("SIZE")
         ->check(notEmpty());
     app.add_option("--cell-size", flags.cellSize, "cell edge in radii: auto, or 0.333 to 4")

@@ -1,13 +1,11 @@
 // Flags that say on which devices a search runs, how its work is estimated and how it is cut into blocks.
 #pragma once
 
-#include "vdb_nns/planning/executor.h"
+#include "vdb_nns/planning/devices.h"
 
 #include <CLI/CLI.hpp>
 
-#include <optional>
 #include <string>
-#include <vector>
 
 namespace vdb_nns::cli {
 
@@ -19,22 +17,8 @@ void addDeviceFlags(CLI::App& app, DeviceFlags& flags);
 void addDeviceTargetFlags(CLI::App& app, DeviceFlags& flags);
 
 /// What the flags ask for, ready for the library.
-struct DeviceRequest {
-    std::vector<DeviceLimits> devices; ///< none: the CPU alone
-    EstimateOptions estimate;
-    ScheduleOptions schedule;
-    DeviceFailure onFailure =
-        DeviceFailure::kStop;     ///< only where nobody asked for the device may the CPU take over
-    double auxNeighbors = 0;      ///< MemoryModel::auxNeighbors
-    std::optional<double> margin; ///< MemoryModel::margin; none: from the error that the estimate measured
-};
-
-/// @param threads that the search will use: they set the rate of the CPU
+/// @param threads that the search will use beside the devices
 /// @throws InvalidInput for a value or a combination that is not possible, DeviceError for a device that is not there
-DeviceRequest deviceRequest(const DeviceFlags& flags, int threads);
-
-/// How bytes of a block follow from its work. The one place that decides how much room index lists are given beyond
-/// their estimate.
-MemoryModel memoryModel(const DeviceRequest& request, Encoding encoding, const WorkEstimate& estimate);
+DeviceOptions deviceOptions(const DeviceFlags& flags, int threads);
 
 } // namespace vdb_nns::cli

@@ -1,4 +1,4 @@
-// The flag table of the README, made from the parser's own options so that it cannot drift.
+// The flag tables of docs/cli.md, made from the parser's own options so that it cannot drift.
 #pragma once
 
 #include <CLI/CLI.hpp>

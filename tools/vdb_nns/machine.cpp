@@ -1,12 +1,6 @@
 #include "machine.h"
 
-#include <algorithm>
 #include <fstream>
-#include <sstream>
-#ifdef __GLIBC__
-#include <malloc.h>
-#endif
-#include <sys/resource.h>
 #include <unistd.h>
 
 namespace vdb_nns::cli {
@@ -26,14 +20,6 @@ std::string procValue(const char* file, const std::string& key)
     return {};
 }
 
-// "key: n kB" of this process in bytes; 0 where the system does not tell.
-std::uint64_t statusBytes(const char* key)
-{
-    std::istringstream value(procValue("/proc/self/status", key));
-    std::uint64_t kibibytes = 0;
-    return value >> kibibytes ? kibibytes * 1024 : 0;
-}
-
 } // namespace
 
 std::string cpuName()
@@ -47,31 +33,6 @@ std::uint64_t machineMemoryBytes()
     const long pages = sysconf(_SC_PHYS_PAGES), pageBytes = sysconf(_SC_PAGESIZE);
     if (pages <= 0 || pageBytes <= 0) return 0;
     return static_cast<std::uint64_t>(pages) * static_cast<std::uint64_t>(pageBytes);
-}
-
-std::uint64_t peakMemoryBytes()
-{
-    // "VmHWM: n kB" can be reset, ru_maxrss cannot.
-    if (const std::uint64_t bytes = statusBytes("VmHWM")) return bytes;
-    rusage usage = {};
-    getrusage(RUSAGE_SELF, &usage);
-    return static_cast<std::uint64_t>(usage.ru_maxrss) * 1024;
-}
-
-std::uint64_t residentMemoryBytes()
-{
-    const std::uint64_t bytes = statusBytes("VmRSS");
-    return bytes ? bytes : peakMemoryBytes();
-}
-
-void returnFreedMemory()
-{
-#ifdef __GLIBC__
-    // By itself glibc raises this threshold to the largest block that was freed, up to 32 MiB, and keeps smaller ones.
-    constexpr int kLargeBlockBytes = 1 << 20;
-    mallopt(M_MMAP_THRESHOLD, kLargeBlockBytes);
-    malloc_trim(0);
-#endif
 }
 
 void resetPeakMemory()

@@ -1,5 +1,7 @@
-// What this process runs on and what it has used, for reports.
+// What this process runs on, for reports; what it has used is in vdb_nns/memory.h.
 #pragma once
+
+#include "vdb_nns/memory.h"
 
 #include <chrono>
 #include <cstdint>
@@ -13,16 +15,7 @@ std::string cpuName();
 /// Main memory of the machine in bytes; 0 where the system does not tell.
 std::uint64_t machineMemoryBytes();
 
-/// Most memory this process has had resident, since it began or since resetPeakMemory().
-std::uint64_t peakMemoryBytes();
-
-/// Memory of this process that is resident now.
-std::uint64_t residentMemoryBytes();
-
-/// Gives freed memory back to the system, and large blocks from now on as soon as they are freed.
-void returnFreedMemory();
-
-/// Starts the peak anew where the system allows it.
+/// Starts vdb_nns::peakMemoryBytes() anew where the system allows it.
 void resetPeakMemory();
 
 class Stopwatch {

@@ -1,22 +1,24 @@
 // vdb_nns plan: a dry run of a search: grid, estimate, workload tree and schedule, drawn and reported.
 #include "cli_options.h"
 #include "command.h"
-#include "device_plan.h"
+#include "device_options.h"
 #include "exit_codes.h"
-#include "host_memory.h"
 #include "machine.h"
 #include "plan_svg.h"
 #include "point_input.h"
 #include "report.h"
+#include "search_progress.h"
 #include "standard_streams.h"
 #include "threads.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/search.h"
+#include "vdb_nns/search_job.h"
 
 #include <algorithm>
 #include <filesystem>
 #include <memory>
+#include <utility>
 
 namespace vdb_nns::cli {
 namespace {
@@ -39,16 +41,18 @@ void addFlags(CLI::App& app, PlanFlags& flags)
         ->type_name("NAME")
         ->check(CLI::IsMember({"index", "mask"}))
         ->capture_default_str();
-    app.add_option("--nonfinite", flags.nonfinite, "what to do with NaN and infinite positions: skip or fail")
+    app.add_option("--nonfinite", flags.nonfinite,
+                   "what to do with points that have a NaN or infinite coordinate: skip or fail")
         ->type_name("HOW")
         ->check(CLI::IsMember({"skip", "fail"}))
         ->capture_default_str();
-    app.add_option("--svg", flags.svg, "draw the blocks: a projection coloured by who would run them")
+    app.add_option("--svg", flags.svg, "draw the blocks as a projection, colored by who would run them")
         ->type_name("FILE")
         ->check(notEmpty());
     addCommonFlags(app, flags.common);
     app.get_option("--threads")
-        ->description("threads that make the plan; 0: all. The plan is for all threads that there are");
+        ->description(
+            "threads that make the plan; 0: all. The plan itself is for all threads of the machine");
 }
 
 // Everything that can be wrong without reading a byte.
@@ -90,31 +94,27 @@ int plannedThreads()
     return tbb::info::default_concurrency();
 }
 
-int planFile(const PlanFlags& flags, SearchOptions options, const DeviceRequest& request, int threads,
-             Session& session)
+int planFile(const PlanFlags& flags, JobOptions options, int threads, Session& session)
 {
     const Stopwatch total;
     ProgressPrinter progress(progressMode(flags.common));
-    options.progress = &progress;
     SearchReport report;
     report.command = "plan";
     report.device.threads = threads;
-    HostMemory memory(options.hostMemoryBytes, threads, {});
     const PointNeeds needs{!flags.common.json.empty(), flags.nonfinite == "fail", flags.common.quiet,
-                           memory.readBytes()};
+                           options.search.hostMemoryBytes};
     const PointFile file = readPoints(flags.input, needs, {progress, 0, 0.4}, session, report);
 
-    progress.begin("grid", 0.4, 0.8);
-    const Stopwatch gridWatch;
     SearchEngine engine;
-    memory.beginSearch();
-    options.hostMemoryBytes = memory.gridBytes();
-    const SparseGrid grid =
-        memory.explained([&] { return engine.buildGrid(file.view(), report.radius, options); });
-    report.seconds.grid = report.seconds.firstGrid = gridWatch.seconds();
-    report.plan =
-        makePlan(grid, request, options.encoding, PlanDetail::kFull, {progress, 0.8, 1}, report.seconds);
-    fillReport(grid, options, report);
+    SearchProgress steps({progress, 0.4, 1});
+    options.search.progress = &steps;
+    JobPlan planned = engine.planJob(file.view(), report.radius, options);
+    const SparseGrid& grid = planned.grid;
+    report.seconds.grid = report.seconds.firstGrid = planned.gridSeconds;
+    report.seconds.estimate = planned.plan.estimateSeconds;
+    report.seconds.plan = planned.plan.planSeconds;
+    report.plan = std::move(planned.plan);
+    fillReport(grid, options.search, report);
     throwIfStopped();
     deliver(flags, grid, report);
     progress.finish();
@@ -126,7 +126,7 @@ int planFile(const PlanFlags& flags, SearchOptions options, const DeviceRequest&
             "made with --threads %d, %s; the plan is for all %d threads that there are, taken to make %.3g "
             "tests a second together; index lists get %.1f %% and %.2g neighbors a particle beyond their "
             "estimate",
-            threads, report.simd.c_str(), plannedThreads(), request.schedule.cpuTestsPerSecond,
+            threads, report.simd.c_str(), plannedThreads(), options.device.schedule.cpuTestsPerSecond,
             100 * report.plan->schedule.model.margin, report.plan->schedule.model.auxNeighbors));
     }
     if (!flags.common.json.empty())
@@ -138,11 +138,11 @@ int planFile(const PlanFlags& flags, SearchOptions options, const DeviceRequest&
 int runPlanCommand(const PlanFlags& flags, Session& session)
 {
     const int wanted = threadCount(flags.common);
-    SearchOptions options = checkFlags(flags);
+    JobOptions options;
+    options.search = checkFlags(flags);
     ThreadLimit threads(wanted);
-    const DeviceRequest request = deviceRequest(flags.device, plannedThreads());
-    options.wideCells = request.devices.empty(); // masks are sent over the link
-    return threads.run([&] { return planFile(flags, options, request, threads.count(), session); });
+    options.device = deviceOptions(flags.device, plannedThreads());
+    return threads.run([&] { return planFile(flags, options, threads.count(), session); });
 }
 
 } // namespace
@@ -150,7 +150,7 @@ int runPlanCommand(const PlanFlags& flags, Session& session)
 Command addPlanCommand(CLI::App& app)
 {
     CLI::App* command =
-        app.add_subcommand("plan", "say how a search would be cut into blocks and who would run them");
+        app.add_subcommand("plan", "show how a search would be cut into blocks, and who would run them");
     const auto flags = std::make_shared<PlanFlags>();
     addFlags(*command, *flags);
     return {command, [flags](Session& session) { return runPlanCommand(*flags, session); }};

@@ -85,7 +85,7 @@ struct Frame {
     double low[2] = {0, 0}, end[2] = {1, 1};   // cells, of `across` and `up`
     double pixelsPerCell = 1;
 
-    explicit Frame(const PlanReport& plan)
+    explicit Frame(const Plan& plan)
     {
         const auto extent = [&](std::size_t k) { return std::int64_t(plan.endCell[k]) - plan.lowCell[k]; };
         for (std::size_t k = 0; k < 3; ++k) {
@@ -249,8 +249,8 @@ std::string swatch(double x, double y, const char* color, const char* attributes
                   color, attributes);
 }
 
-std::string legend(const SparseGrid& grid, const PlanReport& plan, const Selection& selection,
-                   const Frame& frame, double& y)
+std::string legend(const SparseGrid& grid, const Plan& plan, const Selection& selection, const Frame& frame,
+                   double& y)
 {
     const double x = kMargin * 2 + kSide, textX = x + 22;
     const Schedule& schedule = plan.schedule;
@@ -307,7 +307,7 @@ std::string legend(const SparseGrid& grid, const PlanReport& plan, const Selecti
     return out;
 }
 
-std::string subtitle(const PlanReport& plan)
+std::string subtitle(const Plan& plan)
 {
     const Schedule& schedule = plan.schedule;
     std::string text = countText(schedule.blocks.size()) + " blocks, needs " +
@@ -321,7 +321,7 @@ std::string subtitle(const PlanReport& plan)
 
 } // namespace
 
-std::string planSvg(const SparseGrid& grid, const PlanReport& plan, const std::string& scene)
+std::string planSvg(const SparseGrid& grid, const Plan& plan, const std::string& scene)
 {
     const Frame frame(plan);
     const Selection selection(plan.schedule.blocks);

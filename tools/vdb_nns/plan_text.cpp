@@ -17,7 +17,7 @@ std::string percent(double part, double whole)
     return format("%.0f %%", 100 * share(part, whole));
 }
 
-std::string estimateLine(const PlanReport& plan)
+std::string estimateLine(const Plan& plan)
 {
     std::string text = format("%.0f pairs, %.2f a particle; ", plan.total.expectedPairs,
                               share(plan.total.expectedPairs, static_cast<double>(plan.total.particles)));
@@ -29,7 +29,7 @@ std::string estimateLine(const PlanReport& plan)
     return text;
 }
 
-std::string blocksLine(const PlanReport& plan)
+std::string blocksLine(const Plan& plan)
 {
     const std::vector<Block>& blocks = plan.schedule.blocks;
     if (blocks.empty()) return "none";
@@ -53,7 +53,7 @@ std::string busyText(double busy, double end)
            format("), idle %.6f s", std::max(0.0, end - busy));
 }
 
-std::string executorLines(const PlanReport& plan)
+std::string executorLines(const Plan& plan)
 {
     const Schedule& schedule = plan.schedule;
     const double particles = static_cast<double>(plan.total.particles);
@@ -94,7 +94,7 @@ std::uint64_t outputBytes(const SearchReport& report)
 
 std::string planReportText(const SearchReport& report)
 {
-    const PlanReport& plan = *report.plan;
+    const Plan& plan = *report.plan;
     const Schedule& schedule = plan.schedule;
     std::string text = line("particles", countText(report.points));
     const std::string voxels =
@@ -125,7 +125,7 @@ std::string planReportText(const SearchReport& report)
 
 std::string runText(const SearchReport& report)
 {
-    const PlanReport& plan = *report.plan;
+    const Plan& plan = *report.plan;
     const ScheduleRun& run = *report.run;
     const double particles = static_cast<double>(plan.total.particles);
     const BlockErrors errors = blockErrors(plan.schedule, run);

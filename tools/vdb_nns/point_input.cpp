@@ -2,16 +2,42 @@
 
 #include "exit_codes.h"
 #include "machine.h"
+#include "vdb_nns/error.h"
 
 namespace vdb_nns::cli {
+namespace {
+
+// What a bound on the process leaves for reading.
+std::uint64_t bytesForReading(std::uint64_t boundBytes)
+{
+    if (boundBytes == 0) return 0;
+    returnFreedMemory();
+    const std::uint64_t resident = residentMemoryBytes();
+    return boundBytes > resident ? boundBytes - resident : 1; // 0 would be no bound
+}
+
+// Reading may have taken more than it kept.
+void checkPeak(std::uint64_t boundBytes)
+{
+    const std::uint64_t peak = peakMemoryBytes();
+    if (boundBytes == 0 || peak < boundBytes) return;
+    throw CapacityError("reading the points took " + std::to_string(peak) +
+                            " bytes, the program included, and " + "--host-memory allows " +
+                            std::to_string(boundBytes) + ": allow more host memory",
+                        peak, boundBytes);
+}
+
+} // namespace
 
 PointFile readPoints(const InputFlags& input, const PointNeeds& needs, const ProgressSpan& span,
                      Session& session, SearchReport& report)
 {
     span.printer.begin("read", span.begin, span.end);
     const Stopwatch watch;
-    PointFile file = PointFile::read(input.path, {input.grid, needs.hostMemoryBytes, &span.printer});
+    PointFile file =
+        PointFile::read(input.path, {input.grid, bytesForReading(needs.hostMemoryBytes), &span.printer});
     report.seconds.read = watch.seconds();
+    checkPeak(needs.hostMemoryBytes);
     report.path = session.path = input.path;
     const bool needsInfo = needs.info || needs.failNonfinite || input.radius.empty();
     if (needsInfo) report.info = file.info();

@@ -13,11 +13,11 @@ struct PointNeeds {
     bool info;          ///< the report says what is in the file, which costs a pass
     bool failNonfinite; ///< --nonfinite fail
     bool quiet;
-    std::uint64_t hostMemoryBytes; ///< as PointFileOptions
+    std::uint64_t hostMemoryBytes; ///< --host-memory; 0: no bound
 };
 
 /// Reads the file; fills what report and session say of it: path, info, radius, seconds.
-/// @throws CheckFailed for a non-finite point where that fails, InvalidInput without a radius, and as
+/// @throws CapacityError where the points do not fit the bound, CheckFailed for a non-finite point where that fails, InvalidInput without a radius, and as
 ///         PointFile::read()
 PointFile readPoints(const InputFlags& input, const PointNeeds& needs, const ProgressSpan& span,
                      Session& session, SearchReport& report);

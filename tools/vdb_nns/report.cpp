@@ -102,7 +102,7 @@ Json mainDevice(const Json& devices)
     return devices[main];
 }
 
-Json blocksJson(const PlanReport& plan)
+Json blocksJson(const Plan& plan)
 {
     Json list = Json::array();
     for (const Block& block : plan.schedule.blocks) {
@@ -308,7 +308,7 @@ std::string timeLines(const SecondsReport& seconds)
     return text;
 }
 
-std::int64_t edgeCells(const Block& block, const PlanReport& plan)
+std::int64_t edgeCells(const Block& block, const Plan& plan)
 {
     if (block.log2Cells != WorkloadNode::kRoot) return std::int64_t(1) << block.log2Cells;
     std::int64_t edge = 0;

@@ -3,7 +3,7 @@
 
 #include "vdb_nns/neighbor_lists.h"
 #include "vdb_nns/planning/executor.h"
-#include "vdb_nns/planning/schedule.h"
+#include "vdb_nns/planning/plan.h"
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/search_options.h"
 #include "vdb_nns/types.h"
@@ -28,19 +28,6 @@ struct SecondsReport {
         write; ///< empty where a step did not run
 };
 
-/// The workload model's answer: who would run what.
-struct PlanReport {
-    std::vector<DeviceLimits> devices;
-    Schedule schedule;
-    Estimator estimator = Estimator::kExpected;
-    Work total;
-    double correction = 1;            ///< of the expectation, by a sample
-    std::uint64_t countedQueries = 0; ///< of that sample
-    BlockBytes everything;            ///< of all particles as one block
-    std::uint64_t treeNodes = 0, treeLevels = 0;
-    Vec3i lowCell{}, endCell{}; ///< box of the occupied leaves, in cells
-};
-
 struct SearchReport {
     std::string command = "search";
     std::string path;
@@ -56,7 +43,7 @@ struct SearchReport {
     bool straightToFile = false; ///< lists were not held: their rows went to the file as they came
     std::uint64_t candidateTests = 0, doublePairs = 0, exactPairs = 0;
     std::string simd;
-    std::optional<PlanReport> plan;       ///< empty where nothing was planned
+    std::optional<Plan> plan;             ///< empty where nothing was planned
     std::optional<ScheduleRun> run;       ///< empty where no schedule was run
     std::optional<ListStatistics> result; ///< empty for a dry run
     std::optional<std::uint64_t> checksum;
@@ -84,7 +71,7 @@ struct BlockErrors {
 BlockErrors blockErrors(const Schedule& schedule, const ScheduleRun& run);
 
 /// Edge of a block in cells; of the block of everything, that of the box around the occupied leaves.
-std::int64_t edgeCells(const Block& block, const PlanReport& plan);
+std::int64_t edgeCells(const Block& block, const Plan& plan);
 /// "sim:0" for the first device, "cpu" for Block::kOnCpu.
 std::string executorName(const std::vector<DeviceLimits>& devices, int executor);
 

@@ -1,18 +1,19 @@
 // vdb_nns search: reads particles, finds neighbors, writes lists and attributes, reports.
 #include "cli_options.h"
 #include "command.h"
-#include "device_plan.h"
+#include "device_options.h"
 #include "exit_codes.h"
-#include "host_memory.h"
 #include "machine.h"
 #include "numbers.h"
 #include "point_input.h"
 #include "report.h"
+#include "search_progress.h"
 #include "standard_streams.h"
 #include "threads.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/search.h"
+#include "vdb_nns/search_job.h"
 #include "vdb_nns/version.h"
 
 #include <algorithm>
@@ -37,12 +38,9 @@ struct SearchFlags {
 // Flags after all that can be checked before reading.
 struct SearchPlan {
     std::optional<double> radius; // else the file's suggestion
-    SearchOptions options;
+    JobOptions job;
     int threads = 0;
     std::uint64_t repeat = 1;
-    OutputKinds outputs;
-    DeviceRequest devices;
-    bool straightToFile = false; // no lists are held: rows are made again and go to the .npz as they come
 };
 
 void addFlags(CLI::App& app, SearchFlags& flags)
@@ -57,9 +55,10 @@ void addFlags(CLI::App& app, SearchFlags& flags)
     addInputFlags(app, flags.input, true);
     addDeviceFlags(app, flags.device);
     addEngineFlags(app, flags.engine);
-    app.add_option("--encoding", flags.encoding,
-                   "how lists are held: index, mask or none; default: what the outputs need, mask where "
-                   "index lists do not fit. Where neither fits, the rows of an .npz go straight to the file")
+    app.add_option(
+           "--encoding", flags.encoding,
+           "how lists are held: index, mask or none; default: what the outputs need, or mask if index "
+           "lists do not fit. If neither fits, the rows of an .npz go straight to the file")
         ->type_name("NAME")
         ->check(CLI::IsMember({"index", "mask", "none"}));
     app.add_option("--lists", flags.lists, "values of an .npz: connectivity (ones) or distance")
@@ -74,10 +73,11 @@ void addFlags(CLI::App& app, SearchFlags& flags)
         ->type_name("P")
         ->capture_default_str();
     app.add_flag("--checksum", flags.checksum, "report the checksum of all pairs");
-    app.add_option("--repeat", flags.repeat, "search N times, report medians")
+    app.add_option("--repeat", flags.repeat, "search N times and report medians")
         ->type_name("N")
         ->capture_default_str();
-    app.add_option("--nonfinite", flags.nonfinite, "what to do with NaN and infinite positions: skip or fail")
+    app.add_option("--nonfinite", flags.nonfinite,
+                   "what to do with points that have a NaN or infinite coordinate: skip or fail")
         ->type_name("HOW")
         ->check(CLI::IsMember({"skip", "fail"}))
         ->capture_default_str();
@@ -103,8 +103,8 @@ void checkOutputKinds(const SearchFlags& flags, SearchPlan& plan)
     const bool inputIsVdb = extensionOf(flags.input.path) == ".vdb";
     for (const std::string& path : flags.outputs) {
         const std::string extension = extensionOf(path);
-        plan.outputs.npz |= extension == ".npz";
-        plan.outputs.vdb |= extension == ".vdb";
+        plan.job.written.npz |= extension == ".npz";
+        plan.job.written.vdb |= extension == ".vdb";
         if (extension != ".npz" && extension != ".vdb") {
             throw InvalidInput(path + ": the extension '" + extension +
                                "' is not known; use .npz for lists or .vdb for "
@@ -115,7 +115,7 @@ void checkOutputKinds(const SearchFlags& flags, SearchPlan& plan)
                                flags.input.path + " is not; use -o x.npz");
         }
     }
-    if (plan.outputs.npz && flags.encoding == "none") {
+    if (plan.job.written.npz && flags.encoding == "none") {
         throw InvalidInput(
             "--encoding none keeps no lists, and an .npz output needs them; use index or mask");
     }
@@ -126,7 +126,7 @@ Encoding chooseEncoding(const SearchFlags& flags, const SearchPlan& plan)
     if (flags.encoding == "index") return Encoding::kIndex;
     if (flags.encoding == "mask") return Encoding::kMask;
     if (flags.encoding == "none") return Encoding::kNone;
-    if (plan.outputs.npz) return Encoding::kIndex;
+    if (plan.job.written.npz) return Encoding::kIndex;
     return flags.checksum ? Encoding::kMask : Encoding::kNone;
 }
 
@@ -135,13 +135,15 @@ SearchPlan checkFlags(const SearchFlags& flags)
 {
     SearchPlan plan;
     if (!flags.input.radius.empty()) plan.radius = parsePositive(flags.input.radius, "--radius");
-    plan.options = searchOptions(flags.engine, nullptr);
+    plan.job.search = searchOptions(flags.engine, nullptr);
     plan.threads = threadCount(flags.common);
     plan.repeat = parseCount(flags.repeat, "--repeat");
     if (plan.repeat == 0) throw InvalidInput("--repeat: 0 runs are none; give 1 or more");
     checkAttributes(flags);
     checkOutputKinds(flags, plan);
-    plan.options.encoding = chooseEncoding(flags, plan);
+    plan.job.search.encoding = chooseEncoding(flags, plan);
+    plan.job.mayUseMasks = flags.encoding.empty();
+    plan.job.mayStream = plan.job.written.npz && flags.encoding != "mask";
     checkOutputs(flags.outputs, {flags.input.path}, flags.common);
     return plan;
 }
@@ -149,7 +151,7 @@ SearchPlan checkFlags(const SearchFlags& flags)
 // The attribute to be written must not exist.
 void checkAttribute(const SearchFlags& flags, const SearchPlan& plan, const PointFile& file)
 {
-    if (!plan.outputs.vdb || flags.common.force) return;
+    if (!plan.job.written.vdb || flags.common.force) return;
     const std::string name = flags.prefix + "count";
     for (const AttributeInfo& attribute : file.info().attributes) {
         if (attribute.name == name) {
@@ -159,115 +161,40 @@ void checkAttribute(const SearchFlags& flags, const SearchPlan& plan, const Poin
     }
 }
 
-// Whether particles that are near each other in space mostly have numbers that are near too, as those of a .vdb do.
-bool isNumberedAlongSpace(const SparseGrid& grid)
-{
-    constexpr std::size_t kSamples = 1024;
-    constexpr std::uint32_t kNear = 4096;
-    const Span<const std::uint32_t> numbers = grid.particleNumbers();
-    if (numbers.size() < 2) return true;
-    std::size_t near = 0;
-    for (std::size_t k = 0; k < kSamples; ++k) {
-        const std::size_t slot = (numbers.size() - 1) * k / kSamples;
-        const std::uint32_t a = numbers[slot], b = numbers[slot + 1];
-        near += std::max(a, b) - std::min(a, b) < kNear;
-    }
-    return 2 * near > kSamples;
-}
-
-// What serves where lists of the plan's encoding do not fit, with the same output. Rows that go straight to an .npz are the
-// fastest where their order is about that of the file; else masks, which take a quarter of the memory or less. False:
-// nothing is left.
-bool takeLess(const SparseGrid& grid, const SearchFlags& flags, SearchPlan& plan)
-{
-    const bool isFree = flags.encoding.empty() && plan.options.encoding == Encoding::kIndex;
-    const bool mayStream =
-        plan.outputs.npz && plan.options.encoding != Encoding::kNone && flags.encoding != "mask";
-    if (isFree && !(mayStream && isNumberedAlongSpace(grid))) {
-        plan.options.encoding = Encoding::kMask;
-        return true;
-    }
-    if (!mayStream) return false;
-    plan.options.encoding = Encoding::kNone;
-    plan.straightToFile = true;
-    return true;
-}
-
-// Whether masks would be smaller in cells of the radius.
-bool hasWideCells(const SparseGrid& grid, const SearchPlan& plan)
-{
-    return plan.options.cellSize == 0 && grid.cellSize() > 1.01 * grid.radius();
-}
-
-// The grid once more, in cells of the radius.
-void narrowCells(SearchEngine& engine, SparseGrid& grid, SearchPlan& plan)
-{
-    const ParticleView view = grid.view();
-    const double radius = grid.radius();
-    grid = SparseGrid();
-    engine = SearchEngine(); // memory was short
-    plan.options.cellSize = 1;
-    grid = engine.buildGrid(view, radius, plan.options);
-}
-
-// Lists in the encoding of the plan, or in the one that fits.
-NeighborLists searchGrid(SearchEngine& engine, SparseGrid grid, const SearchFlags& flags,
-                         const HostMemory& memory, SearchPlan& plan, const ProgressSpan& span,
-                         SearchReport& report)
-{
-    for (;;) {
-        try {
-            SearchOptions options = plan.options;
-            options.hostMemoryBytes = memory.listBytes(grid, options.encoding);
-            if (plan.devices.devices.empty()) return engine.search(grid, options);
-            return searchOnDevices(engine, grid, plan.devices, options, span, report);
-        } catch (const CapacityError& error) {
-            const bool areLargeMasks = plan.options.encoding == Encoding::kMask && hasWideCells(grid, plan);
-            if (!areLargeMasks && !takeLess(grid, flags, plan)) throw;
-            if (!flags.common.quiet) {
-                say(error.what() + std::string(areLargeMasks ? "; cells of the radius are taken instead"
-                                               : plan.straightToFile
-                                                   ? "; rows go straight to the file instead"
-                                                   : "; they are held as masks instead"));
-            }
-            if (plan.options.encoding == Encoding::kMask && hasWideCells(grid, plan))
-                narrowCells(engine, grid, plan);
-        }
-    }
-}
-
-// Grid and lists, `repeat` times with buffers kept; the last lists are returned.
-NeighborLists runSearch(SearchEngine& engine, const ParticleView& view, double radius,
-                        const SearchFlags& flags, HostMemory& memory, SearchPlan& plan,
-                        ProgressPrinter& progress, SearchReport& report)
+// The job, `repeat` times with buffers kept; the last lists are returned.
+NeighborLists runJobs(SearchEngine& engine, const ParticleView& view, const SearchFlags& flags,
+                      const SearchPlan& plan, ProgressPrinter& progress, SearchReport& report, JobReport& job)
 {
     constexpr double kReadShare = 0.2, kSearchShare = 0.6; // rough shares of a run, for progress only
     std::vector<double> gridSeconds, searchSeconds;
+    JobOptions options = plan.job;
     NeighborLists lists;
+    bool streamed = false;
     for (std::uint64_t run = 0; run < plan.repeat; ++run) {
-        lists = NeighborLists();                         // frees what the engine may use again
-        if (memory.isBounded()) engine = SearchEngine(); // the grid's sort needs the room of the last lists
+        lists = NeighborLists(); // frees what the engine may use again
         const double step = kSearchShare / static_cast<double>(plan.repeat);
-        const double from = kReadShare + step * static_cast<double>(run);
-        progress.begin("grid", from, from + step / 3);
-        const Stopwatch gridWatch;
-        plan.options.hostMemoryBytes = memory.gridBytes();
-        SparseGrid grid = engine.buildGrid(view, radius, plan.options);
-        if (memory.isBounded()) returnFreedMemory();
-        gridSeconds.push_back(gridWatch.seconds());
-        progress.begin("search", from + step / 3, from + step);
-        const Stopwatch searchWatch;
-        memory.beginLists(grid);
-        lists = searchGrid(engine, std::move(grid), flags, memory, plan,
-                           {progress, from + step / 3, from + step}, report);
-        searchSeconds.push_back(searchWatch.seconds() - report.seconds.estimate.value_or(0) -
-                                report.seconds.plan.value_or(0));
+        SearchProgress steps({progress, kReadShare + step * static_cast<double>(run),
+                              kReadShare + step * static_cast<double>(run + 1)});
+        options.search.progress = &steps;
+        lists = engine.findNeighbors(view, report.radius, options, job);
+        streamed |= job.streamed;
+        options = job.settled;
+        gridSeconds.push_back(job.gridSeconds);
+        searchSeconds.push_back(job.searchSeconds);
+        if (flags.common.quiet) continue;
+        for (const std::string& note : job.notes) say(note);
     }
+    job.streamed = streamed;
+    job.settled.search.progress = &progress;
     SecondsReport& seconds = report.seconds;
     seconds.firstGrid = gridSeconds.front();
     seconds.firstSearch = searchSeconds.front();
     seconds.grid = median(std::move(gridSeconds));
     seconds.search = median(std::move(searchSeconds));
+    if (job.plan) {
+        seconds.estimate = job.plan->estimateSeconds;
+        seconds.plan = job.plan->planSeconds;
+    }
     return lists;
 }
 
@@ -287,32 +214,19 @@ std::uint64_t visitChecksum(SearchEngine& engine, const SparseGrid& grid, const 
     return sums.combine([](std::uint64_t a, std::uint64_t b) { return a + b; });
 }
 
-void makeChecksum(SearchEngine& engine, const SearchFlags& flags, const SearchPlan& plan,
+void makeChecksum(SearchEngine& engine, const SearchFlags& flags, const JobReport& job,
                   const NeighborLists& lists, SearchReport& report)
 {
-    const bool stored = lists.encoding() != Encoding::kNone, wanted = stored || plan.straightToFile;
+    const bool stored = lists.encoding() != Encoding::kNone, wanted = stored || job.streamed;
     if (!flags.checksum && (flags.common.json.empty() || !wanted)) return;
     const Stopwatch watch;
-    report.checksum =
-        stored ? lists.checksum(plan.options.progress) : visitChecksum(engine, lists.grid(), plan.options);
+    const SearchOptions& search = job.settled.search;
+    report.checksum = stored ? lists.checksum(search.progress) : visitChecksum(engine, lists.grid(), search);
     report.seconds.checksum = watch.seconds();
 }
 
-void writeLists(const std::string& path, SearchEngine& engine, const NeighborLists& lists,
-                const SearchFlags& flags, const SearchPlan& plan, const HostMemory& memory)
-{
-    const ListValues values = flags.lists == "distance" ? ListValues::kDistance : ListValues::kConnectivity;
-    if (plan.straightToFile) {
-        streamNpz(path, engine, lists, values, outputOptions(flags.common), memory.bufferBytes(lists.grid()),
-                  plan.options);
-    } else {
-        writeNpz(path, lists, values, outputOptions(flags.common), plan.options.progress);
-    }
-}
-
-void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const SearchPlan& plan,
-                  const HostMemory& memory, const PointFile& file, const NeighborLists& lists,
-                  ProgressPrinter& progress, SearchReport& report)
+void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const JobReport& job, const PointFile& file,
+                  const NeighborLists& lists, ProgressPrinter& progress, SearchReport& report)
 {
     if (flags.outputs.empty()) return;
     const Stopwatch watch;
@@ -321,7 +235,9 @@ void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const SearchPl
         const double from = 0.8 + share * static_cast<double>(report.written.size());
         progress.begin("write", from, from + share);
         if (extensionOf(path) == ".npz") {
-            writeLists(path, engine, lists, flags, plan, memory);
+            const ListValues values =
+                flags.lists == "distance" ? ListValues::kDistance : ListValues::kConnectivity;
+            writeJobNpz(path, engine, lists, job, values, outputOptions(flags.common));
         } else {
             const std::vector<std::uint32_t> counts = lists.counts();
             file.writeVdb(path, {counts.data(), counts.size()}, flags.prefix, outputOptions(flags.common),
@@ -332,42 +248,39 @@ void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const SearchPl
     report.seconds.write = watch.seconds();
 }
 
-void fillReport(const SearchEngine& engine, const SearchPlan& plan, const HostMemory& memory,
-                const NeighborLists& lists, SearchReport& report)
+void fillReport(const SearchEngine& engine, const JobReport& job, const NeighborLists& lists,
+                SearchReport& report)
 {
-    const SparseGrid& grid = lists.grid();
-    fillGridReport(grid, plan.options, report);
-    if (memory.isBounded()) report.device.budgetBytes = memory.boundBytes();
+    fillGridReport(lists.grid(), job.settled.search, report);
     report.listBytes = lists.bytes();
-    report.encoding = plan.straightToFile ? Encoding::kIndex : lists.encoding();
-    report.straightToFile = plan.straightToFile;
-    report.candidateTests = countCandidateTests(grid);
+    report.encoding = job.streamed ? Encoding::kIndex : lists.encoding();
+    report.straightToFile = job.streamed;
+    report.candidateTests = countCandidateTests(lists.grid());
     report.doublePairs = engine.statistics().doublePairs;
     report.exactPairs = engine.statistics().exactPairs;
     report.simd = simdLevelName(engine.statistics().simd);
     report.result = lists.statistics();
+    report.plan = job.plan;
+    report.run = job.run;
 }
 
-int searchFile(const SearchFlags& flags, SearchPlan plan, int threads, Session& session)
+int searchFile(const SearchFlags& flags, const SearchPlan& plan, int threads, Session& session)
 {
     const Stopwatch total;
     ProgressPrinter progress(progressMode(flags.common));
-    HostMemory memory(plan.options.hostMemoryBytes, threads, plan.outputs);
-    plan.options.progress = &progress;
     SearchReport report;
     report.device.threads = threads;
     const PointNeeds needs{!flags.common.json.empty(), flags.nonfinite == "fail", flags.common.quiet,
-                           memory.readBytes()};
+                           plan.job.search.hostMemoryBytes};
     const PointFile file = readPoints(flags.input, needs, {progress, 0, 0.2}, session, report);
     checkAttribute(flags, plan, file);
 
     SearchEngine engine;
-    memory.beginSearch();
-    const NeighborLists lists = memory.explained(
-        [&] { return runSearch(engine, file.view(), report.radius, flags, memory, plan, progress, report); });
-    fillReport(engine, plan, memory, lists, report);
-    makeChecksum(engine, flags, plan, lists, report);
-    writeOutputs(engine, flags, plan, memory, file, lists, progress, report);
+    JobReport job;
+    const NeighborLists lists = runJobs(engine, file.view(), flags, plan, progress, report, job);
+    fillReport(engine, job, lists, report);
+    makeChecksum(engine, flags, job, lists, report);
+    writeOutputs(engine, flags, job, file, lists, progress, report);
     throwIfStopped();
     progress.finish();
     report.peakBytes = peakMemoryBytes();
@@ -388,8 +301,7 @@ int runSearchCommand(const SearchFlags& flags, Session& session)
 {
     SearchPlan plan = checkFlags(flags);
     ThreadLimit threads(plan.threads);
-    plan.devices = deviceRequest(flags.device, threads.count());
-    plan.options.wideCells = plan.devices.devices.empty(); // masks are sent over the link
+    plan.job.device = deviceOptions(flags.device, threads.count());
     return threads.run([&] { return searchFile(flags, plan, threads.count(), session); });
 }
 

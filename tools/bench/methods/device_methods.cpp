@@ -1,28 +1,29 @@
 #include "bench/methods/device_methods.h"
 
 #include "cli_options.h"
-#include "device_plan.h"
 #include "machine.h"
 #include "vdb_nns/error.h"
+#include "vdb_nns/planning/plan.h"
+#include "vdb_nns/search.h"
 
 #include <algorithm>
 
 namespace vdb_nns::cli {
 namespace {
 
-bool isSimulated(const DeviceRequest& request)
+bool isSimulated(const DeviceOptions& request)
 {
     return std::all_of(request.devices.begin(), request.devices.end(),
                        [](const DeviceLimits& device) { return device.kind == DeviceKind::kSim; });
 }
 
 // Candidate tests are exact but where a few leaves told for all that everything fits.
-std::uint64_t candidateTestsOf(const SparseGrid& grid, const PlanReport& plan)
+std::uint64_t candidateTestsOf(const SparseGrid& grid, const Plan& plan)
 {
     return plan.estimator == Estimator::kProbed ? countCandidateTests(grid) : plan.total.candidateTests;
 }
 
-void fillPlan(const DeviceRequest& request, const PlanReport& plan, DeviceMeasures& measures)
+void fillPlan(const DeviceOptions& request, const Plan& plan, DeviceMeasures& measures)
 {
     measures.kind = deviceKindName(plan.devices.front().kind);
     measures.name = plan.devices.front().name;
@@ -37,7 +38,7 @@ void fillPlan(const DeviceRequest& request, const PlanReport& plan, DeviceMeasur
     }
 }
 
-void fillRun(const PlanReport& plan, const ScheduleRun& run, DeviceMeasures& measures)
+void fillRun(const Plan& plan, const ScheduleRun& run, DeviceMeasures& measures)
 {
     for (std::size_t d = 0; d < run.devices.size(); ++d) {
         const DeviceRun& device = run.devices[d];
@@ -64,7 +65,7 @@ void fillRun(const PlanReport& plan, const ScheduleRun& run, DeviceMeasures& mea
 
 class DeviceMethod : public MethodWithResult {
 public:
-    DeviceMethod(const MethodSpec& spec, const SearchOptions& options, const DeviceRequest& request,
+    DeviceMethod(const MethodSpec& spec, const SearchOptions& options, const DeviceOptions& request,
                  bool isOnlyOne)
         : mSpec(spec), mRequest(request), mIsOnlyOne(isOnlyOne)
     {
@@ -83,9 +84,8 @@ public:
         const Stopwatch gridWatch;
         const SparseGrid grid = mEngine.buildGrid(view, radius, mRun.search);
         result.gridSeconds = gridWatch.seconds();
-        SecondsReport seconds;
-        const PlanReport plan = makePlan(grid, mRequest, mSpec.encoding, PlanDetail::kAsNeeded,
-                                         {span.printer, span.begin, planned}, seconds);
+        span.printer.begin("plan", span.begin, planned);
+        const Plan plan = makePlan(grid, mRequest, mSpec.encoding, PlanDetail::kAsNeeded, &span.printer);
         requireInCore(plan);
 
         span.printer.begin("search", planned, span.end);
@@ -102,8 +102,8 @@ public:
         DeviceMeasures measures;
         measures.pairs = result.pairs;
         measures.candidateTests = candidateTestsOf(grid, plan);
-        measures.estimateSeconds = seconds.estimate.value_or(0);
-        measures.planSeconds = seconds.plan.value_or(0);
+        measures.estimateSeconds = plan.estimateSeconds;
+        measures.planSeconds = plan.planSeconds;
         fillPlan(mRequest, plan, measures);
         fillRun(plan, run, measures);
         measures.makespanSeconds = measures.isVirtual ? run.seconds : result.searchSeconds;
@@ -112,7 +112,7 @@ public:
     }
 
 private:
-    void requireInCore(const PlanReport& plan) const
+    void requireInCore(const Plan& plan) const
     {
         if (mSpec.place != MethodPlace::kInCore || plan.schedule.inCore) return;
         const std::uint64_t needed = plan.everything.total(), allowed = plan.devices.front().memoryBytes;
@@ -123,7 +123,7 @@ private:
     }
 
     // With half the buffers it is another method than the one asked for, and in core not even that.
-    void requireBudget(const PlanReport& plan, const ScheduleRun& run) const
+    void requireBudget(const Plan& plan, const ScheduleRun& run) const
     {
         if (run.halvings == 0) return;
         std::uint64_t asked = 0, taken = 0;
@@ -139,7 +139,7 @@ private:
     }
 
     const MethodSpec mSpec;
-    const DeviceRequest mRequest;
+    const DeviceOptions mRequest;
     const bool mIsOnlyOne; // of this bench on devices
     RunOptions mRun;
     SearchEngine mEngine;
@@ -192,7 +192,7 @@ BenchDevices benchDevices(const DeviceFlags& flags, const std::vector<MethodSpec
     if (!onDevice) return devices;
     DeviceFlags whole = flags;
     whole.deviceMemory.clear();
-    devices.request = deviceRequest(whole, threads);
+    devices.request = deviceOptions(whole, threads);
     if (devices.request.devices.empty()) {
         throw DeviceError(
             "--method: " + onDevice->name +
@@ -207,7 +207,7 @@ BenchDevices benchDevices(const DeviceFlags& flags, const std::vector<MethodSpec
 std::unique_ptr<Method> makeDeviceMethod(const MethodSpec& spec, const SearchOptions& options,
                                          const BenchDevices& devices)
 {
-    DeviceRequest request = devices.request;
+    DeviceOptions request = devices.request;
     request.schedule.boundary = spec.boundary;
     request.schedule.blockLog2Cells = spec.blockLog2Cells;
     request.schedule.useCpu = spec.place == MethodPlace::kCpuAndDevice;

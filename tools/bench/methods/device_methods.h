@@ -13,7 +13,7 @@ namespace vdb_nns::cli {
 
 /// The devices of a benchmark. Methods in core have their whole memory, others --device-memory.
 struct BenchDevices {
-    DeviceRequest request;
+    DeviceOptions request;
     std::optional<std::uint64_t> budgetBytes;
     std::size_t methods = 0; ///< that run on them; each keeps its memory until the end
 };

@@ -1,11 +1,11 @@
 #include "bench/stability/trial_work.h"
 
 #include "bench/stability/trial_check.h"
-#include "device_plan.h"
 #include "machine.h"
 #include "numbers.h"
 #include "threads.h"
 #include "vdb_nns/error.h"
+#include "vdb_nns/planning/plan.h"
 #include "vdb_nns/search.h"
 
 #include <algorithm>
@@ -53,10 +53,9 @@ private:
 // Of a simulated device, for methods that have all of it.
 constexpr std::uint64_t kDeviceBytes = std::uint64_t(3) << 30;
 
-DeviceLimits simulatedDevice(std::uint64_t bytes)
+DeviceLimits simulatedDeviceOf(std::uint64_t bytes)
 {
-    DeviceLimits device;
-    device.name = "simulated";
+    DeviceLimits device = simulatedDevice();
     device.memoryBytes = bytes;
     return device;
 }
@@ -66,10 +65,9 @@ std::uint64_t bytesAtOnce(const CaseParticles& particles, Encoding encoding, Pro
 {
     SearchEngine engine;
     const SparseGrid grid = engine.buildGrid(particles.view, particles.radius);
-    DeviceRequest request;
-    request.devices = {simulatedDevice(~std::uint64_t(0) >> 8)};
-    SecondsReport seconds;
-    return makePlan(grid, request, encoding, PlanDetail::kFull, {progress, 0, 1}, seconds).everything.total();
+    DeviceOptions request;
+    request.devices = {simulatedDeviceOf(~std::uint64_t(0) >> 8)};
+    return makePlan(grid, request, encoding, PlanDetail::kFull, &progress).everything.total();
 }
 
 // What was allowed, and as much more as the refusal says to lack.
@@ -237,7 +235,7 @@ private:
                 *condition.deviceShare *
                 static_cast<double>(bytesAtOnce(particles, mSpec.encoding, mProgress)));
         }
-        setup.devices.request.devices = {simulatedDevice(kDeviceBytes)};
+        setup.devices.request.devices = {simulatedDeviceOf(kDeviceBytes)};
         setup.devices.budgetBytes = std::max<std::uint64_t>(bytes, 1);
         setup.devices.methods = 1;
         if (condition.claimedNeighbors) {

@@ -1,8 +1,9 @@
 #include "bench/studies/budget_study.h"
 
-#include "device_plan.h"
 #include "numbers.h"
 #include "vdb_nns/error.h"
+#include "vdb_nns/planning/plan.h"
+#include "vdb_nns/search.h"
 
 #include <cmath>
 #include <iterator>
@@ -17,14 +18,13 @@ constexpr double kShares[] = {1, 0.5, 0.25, 0.1, 0.05, 0.02, 0.01};
 std::uint64_t bytesNeeded(const BenchPoints& points, const BudgetStudyOptions& options, Encoding encoding,
                           const ProgressSpan& span)
 {
-    DeviceRequest request = options.setup.devices.request;
+    DeviceOptions request = options.setup.devices.request;
     request.devices.resize(1);
     request.devices[0].memoryBytes = std::numeric_limits<std::uint64_t>::max() / 4;
     SearchOptions search = options.setup.options;
     search.wideCells = false; // as methods on devices have it
     const SparseGrid grid = SearchEngine().buildGrid(points.view, options.radius, search);
-    SecondsReport seconds;
-    return makePlan(grid, request, encoding, PlanDetail::kFull, span, seconds).everything.total();
+    return makePlan(grid, request, encoding, PlanDetail::kFull, &span.printer).everything.total();
 }
 
 void run(const BenchPoints& points, const BudgetStudyOptions& options, const ProgressSpan& span,

@@ -1,10 +1,9 @@
 #include "bench/studies/estimators.h"
 
 #include "cli_options.h"
-#include "device_options.h"
 #include "numbers.h"
 #include "vdb_nns/error.h"
-#include "vdb_nns/planning/schedule.h"
+#include "vdb_nns/planning/plan.h"
 #include "vdb_nns/search.h"
 
 #include <algorithm>

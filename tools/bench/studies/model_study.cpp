@@ -1,8 +1,8 @@
 #include "bench/studies/model_study.h"
 
-#include "device_plan.h"
 #include "machine.h"
 #include "numbers.h"
+#include "vdb_nns/planning/plan.h"
 #include "vdb_nns/search.h"
 
 #include <algorithm>
@@ -15,15 +15,15 @@ struct Samples {
 };
 
 // The steps of makePlan(), each by itself.
-struct Plan {
+struct TimedPlan {
     WorkEstimate estimate;
     WorkloadTree tree;
     Schedule schedule;
 };
 
-Plan plan(const SparseGrid& grid, const DeviceRequest& request, Encoding encoding, Samples& samples)
+TimedPlan timedPlan(const SparseGrid& grid, const DeviceOptions& request, Encoding encoding, Samples& samples)
 {
-    Plan result;
+    TimedPlan result;
     EstimateOptions options = request.estimate;
     options.correctCrowding = encoding == Encoding::kIndex;
     const Stopwatch estimateWatch;
@@ -42,18 +42,17 @@ Plan plan(const SparseGrid& grid, const DeviceRequest& request, Encoding encodin
     return result;
 }
 
-DeviceRequest outOfCore(const BenchPoints& points, const ModelStudyOptions& options, Encoding encoding,
+DeviceOptions outOfCore(const BenchPoints& points, const ModelStudyOptions& options, Encoding encoding,
                         const ProgressSpan& span)
 {
-    DeviceRequest request = options.setup.devices.request;
+    DeviceOptions request = options.setup.devices.request;
     request.devices.resize(1);
     request.schedule.useCpu = false;
     SearchOptions search = options.setup.options;
     search.wideCells = false; // as methods on devices have it
     const SparseGrid grid = SearchEngine().buildGrid(points.view, options.radius, search);
-    SecondsReport seconds;
     request.devices[0].memoryBytes = std::uint64_t(1) << 60;
-    const PlanReport whole = makePlan(grid, request, encoding, PlanDetail::kFull, span, seconds);
+    const Plan whole = makePlan(grid, request, encoding, PlanDetail::kFull, &span.printer);
     request.devices[0].memoryBytes = std::max<std::uint64_t>(whole.everything.total() / 10, 1);
     return request;
 }
@@ -70,7 +69,7 @@ void setMedians(const Samples& samples, ModelShare& share)
 
 // `request` is null in core.
 ModelShare measureShare(const BenchPoints& points, const ModelStudyOptions& options, Encoding encoding,
-                        const DeviceRequest* request)
+                        const DeviceOptions* request)
 {
     ModelShare share;
     share.scene = points.scene;
@@ -91,7 +90,7 @@ ModelShare measureShare(const BenchPoints& points, const ModelStudyOptions& opti
         share.structureBytes = grid.bytes();
         NeighborLists lists;
         if (request) {
-            const Plan planned = plan(grid, *request, encoding, samples);
+            const TimedPlan planned = timedPlan(grid, *request, encoding, samples);
             run.schedule = request->schedule;
             ScheduleRun report;
             const Stopwatch searchWatch;
@@ -160,7 +159,7 @@ ModelStudy studyModel(const BenchPoints& points, const ModelStudyOptions& option
     for (const Encoding encoding : {Encoding::kIndex, Encoding::kMask}) {
         next();
         study.shares.push_back(measureShare(points, options, encoding, nullptr));
-        const DeviceRequest request = outOfCore(points, options, encoding, next());
+        const DeviceOptions request = outOfCore(points, options, encoding, next());
         next();
         study.shares.push_back(measureShare(points, options, encoding, &request));
     }

@@ -1,13 +1,11 @@
-#include "host_memory.h"
+#include "plan/host_budget.h"
 
-#include "machine.h"
-#include "vdb_nns/error.h"
 #include "vdb_nns/memory.h"
 #include "vdb_nns/particle_view.h"
 
 #include <algorithm>
 
-namespace vdb_nns::cli {
+namespace vdb_nns {
 namespace {
 
 constexpr std::uint64_t kMiB = std::uint64_t(1) << 20;
@@ -36,52 +34,44 @@ std::uint64_t difference(std::uint64_t from, std::uint64_t bytes)
 
 } // namespace
 
-HostMemory::HostMemory(std::uint64_t boundBytes, int threads, const OutputKinds& outputs)
+HostBudget::HostBudget(std::uint64_t boundBytes, int threads, const WrittenKinds& written)
     : mBoundBytes(boundBytes),
       mThreads(static_cast<std::uint64_t>(threads)),
-      mOutputs(outputs),
+      mWritten(written),
       mReserveBytes(kArrayReserve + mThreads * kThreadReserve)
 {
     if (isBounded()) returnFreedMemory();
 }
 
-std::uint64_t HostMemory::readBytes() const
-{
-    if (!isBounded()) return 0;
-    return std::max<std::uint64_t>(1, difference(mBoundBytes, residentMemoryBytes())); // 0 would be no bound
-}
-
-void HostMemory::beginSearch()
+void HostBudget::begin()
 {
     if (!isBounded()) return;
     returnFreedMemory();
     mUsedBytes = residentMemoryBytes();
-    // Reading may have taken more than it kept.
-    const std::uint64_t needed = std::max(peakMemoryBytes(), mUsedBytes + mReserveBytes);
+    const std::uint64_t needed = mUsedBytes + mReserveBytes;
     if (needed >= mBoundBytes) {
         throw CapacityError("the points alone need " + std::to_string(needed) + " bytes, allowed are " +
                                 std::to_string(mBoundBytes) + explanation() + ": allow more host memory",
                             needed, mBoundBytes);
     }
-    mFreeBytes = mBoundBytes - mUsedBytes - mReserveBytes;
+    mFreeBytes = mBoundBytes - needed;
 }
 
-void HostMemory::beginLists(const SparseGrid& grid)
+void HostBudget::beginLists(const SparseGrid& grid, std::uint64_t reusableBytes)
 {
-    if (isBounded() || mFreeBytes > 0) return;
-    mUsedBytes = residentMemoryBytes();
-    mFreeBytes = difference(availableMemoryBytes() + grid.bytes(), mReserveBytes);
+    if (isBounded()) return;
+    mFreeBytes = difference(availableMemoryBytes() + grid.bytes() + reusableBytes, mReserveBytes);
 }
 
 // Of the outputs, which are written one after the other, the largest need. Without lists an .npz is written directly.
-std::uint64_t HostMemory::writerBytes(std::uint64_t points, Encoding encoding) const
+std::uint64_t HostBudget::writerBytes(std::uint64_t points, Encoding encoding) const
 {
     const std::uint64_t npz =
         encoding == Encoding::kNone ? kPlaceBytes * points + mThreads * kLeastBuffer : kNpzWriter;
-    return std::max(mOutputs.npz ? npz : 0, mOutputs.vdb ? kVdbWriter + kVdbWriterPerPoint * points : 0);
+    return std::max(mWritten.npz ? npz : 0, mWritten.vdb ? kVdbWriter + kVdbWriterPerPoint * points : 0);
 }
 
-std::uint64_t HostMemory::listBytes(const SparseGrid& grid, Encoding encoding) const
+std::uint64_t HostBudget::listBytes(const SparseGrid& grid, Encoding encoding) const
 {
     const std::uint64_t points = grid.view().size(), leaves = grid.leafCount();
     std::uint64_t beside = kNumberBytes * points + kTaskBytes * leaves + writerBytes(points, encoding);
@@ -98,7 +88,7 @@ std::uint64_t HostMemory::listBytes(const SparseGrid& grid, Encoding encoding) c
     return std::max<std::uint64_t>(1, difference(mFreeBytes, beside)); // 0 would be no bound
 }
 
-std::uint64_t HostMemory::bufferBytes(const SparseGrid& grid) const
+std::uint64_t HostBudget::bufferBytes(const SparseGrid& grid) const
 {
     const std::uint64_t points = grid.view().size();
     const std::uint64_t held =
@@ -107,16 +97,16 @@ std::uint64_t HostMemory::bufferBytes(const SparseGrid& grid) const
                       mThreads * (isBounded() ? kLargestBuffer : kUsualBuffer));
 }
 
-std::string HostMemory::explanation() const
+std::string HostBudget::explanation() const
 {
     if (!isBounded()) {
         if (mFreeBytes == 0) return {}; // before there was a grid
         return " (of the memory that is free beside the program, the points and the grid, " +
                std::to_string(mReserveBytes) + " are kept for the threads and for what arrays lose)";
     }
-    return " (of --host-memory, which is " + std::to_string(mBoundBytes) +
+    return " (of the host memory allowed, which is " + std::to_string(mBoundBytes) +
            ", the program and the points use " + std::to_string(mUsedBytes) + ", and " +
            std::to_string(mReserveBytes) + " are kept for the threads and for what arrays lose)";
 }
 
-} // namespace vdb_nns::cli
+} // namespace vdb_nns

@@ -1,0 +1,212 @@
+// A whole search: the grid, then lists in the encoding that is asked for or, where that does not fit and another will do, in
+// that one. On devices each try is planned anew.
+#include "vdb_nns/search_job.h"
+
+#include "plan/host_budget.h"
+#include "search/engine_state.h"
+#include "util/sole_owner.h"
+#include "util/wall_clock.h"
+#include "vdb_nns/memory.h"
+
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <string>
+#include <utility>
+
+namespace vdb_nns {
+namespace {
+
+// Whether particles that are near each other in space mostly have numbers that are near too, as those of a .vdb do.
+bool isNumberedAlongSpace(const SparseGrid& grid)
+{
+    constexpr std::size_t kSamples = 1024;
+    constexpr std::uint32_t kNear = 4096;
+    const Span<const std::uint32_t> numbers = grid.particleNumbers();
+    if (numbers.size() < 2) return true;
+    std::size_t near = 0;
+    for (std::size_t k = 0; k < kSamples; ++k) {
+        const std::size_t slot = (numbers.size() - 1) * k / kSamples;
+        const std::uint32_t a = numbers[slot], b = numbers[slot + 1];
+        near += std::max(a, b) - std::min(a, b) < kNear;
+    }
+    return 2 * near > kSamples;
+}
+
+// Where the cells are wider than the radius, masks are larger than they need be.
+bool hasWideCells(const SparseGrid& grid, const JobOptions& options)
+{
+    return options.search.cellSize == 0 && grid.cellSize() > 1.01 * grid.radius();
+}
+
+// Takes less memory with the same output. Rows that go straight to an .npz are the fastest where their order is about that of
+// the file; else masks, which take a quarter of the memory or less, in cells of the radius where wider ones are too much. Says
+// what is done instead; empty: nothing is left.
+std::string takeLess(const SparseGrid& grid, JobOptions& options, bool& streamed)
+{
+    const Encoding encoding = options.search.encoding;
+    if (encoding == Encoding::kMask && hasWideCells(grid, options)) {
+        options.search.cellSize = 1;
+        return "cells of the radius are taken instead";
+    }
+    const bool mayStream = options.mayStream && encoding != Encoding::kNone;
+    if (options.mayUseMasks && encoding == Encoding::kIndex && !(mayStream && isNumberedAlongSpace(grid))) {
+        options.search.encoding = Encoding::kMask;
+        if (hasWideCells(grid, options)) options.search.cellSize = 1;
+        return "they are held as masks instead";
+    }
+    if (!mayStream) return {};
+    options.search.encoding = Encoding::kNone;
+    streamed = true;
+    return "rows go straight to the file instead";
+}
+
+// The engine, the job and what it has come to so far.
+class Job {
+public:
+    Job(SearchEngine& engine, EngineState& state, const JobOptions& options, JobReport& report)
+        : mEngine(engine),
+          mState(state),
+          mBudget(options.search.hostMemoryBytes, tbb::this_task_arena::max_concurrency(), options.written),
+          mReport(report)
+    {
+        mReport = JobReport();
+        mReport.settled = options;
+        // Masks are sent over the link.
+        mReport.settled.search.wideCells &= options.device.devices.empty();
+        mReport.settled.device.estimate.radius = options.search.radius;
+    }
+
+    NeighborLists run(const ParticleView& view, double radius)
+    {
+        return mBudget.explained([&] {
+            SparseGrid grid = makeGrid(view, radius);
+            const double start = wallSeconds();
+            mBudget.beginLists(grid, reusableBytes());
+            const NeighborLists lists = search(std::move(grid));
+            mReport.searchSeconds = wallSeconds() - start - mPlanningSeconds;
+            mReport.streamBufferBytes = mBudget.bufferBytes(lists.grid());
+            return lists;
+        });
+    }
+
+    JobPlan plan(const ParticleView& view, double radius)
+    {
+        JobPlan result;
+        result.grid = mBudget.explained([&] { return makeGrid(view, radius); });
+        result.gridSeconds = mReport.gridSeconds;
+        const SearchOptions& search = mReport.settled.search;
+        result.plan = makePlan(result.grid, mReport.settled.device, search.encoding, PlanDetail::kFull,
+                               search.progress);
+        return result;
+    }
+
+private:
+    SparseGrid makeGrid(const ParticleView& view, double radius)
+    {
+        const double start = wallSeconds();
+        if (mBudget.isBounded()) forget(); // the grid's sort needs the room of the last lists
+        mBudget.begin();
+        SearchOptions options = mReport.settled.search;
+        options.hostMemoryBytes = mBudget.gridBytes();
+        SparseGrid grid = mEngine.buildGrid(view, radius, options);
+        if (mBudget.isBounded()) returnFreedMemory();
+        mReport.gridSeconds += wallSeconds() - start;
+        return grid;
+    }
+
+    // Lists in the first encoding that fits.
+    NeighborLists search(SparseGrid grid)
+    {
+        JobOptions& options = mReport.settled;
+        for (;;) {
+            try {
+                SearchOptions search = options.search;
+                search.hostMemoryBytes = mBudget.listBytes(grid, search.encoding);
+                if (options.device.devices.empty()) return mEngine.search(grid, search);
+                return searchOnDevices(grid, search);
+            } catch (const CapacityError& error) {
+                const double cellSize = options.search.cellSize;
+                const std::string instead = takeLess(grid, options, mReport.streamed);
+                if (instead.empty()) throw;
+                mReport.notes.push_back(error.what() + ("; " + instead));
+                if (options.search.cellSize != cellSize) grid = narrowGrid(std::move(grid));
+            }
+        }
+    }
+
+    NeighborLists searchOnDevices(const SparseGrid& grid, const SearchOptions& search)
+    {
+        const DeviceOptions& device = mReport.settled.device;
+        mReport.plan = makePlan(grid, device, search.encoding, PlanDetail::kAsNeeded, search.progress);
+        mPlanningSeconds = mReport.plan->estimateSeconds + mReport.plan->planSeconds;
+        RunOptions run;
+        run.search = search;
+        run.schedule = device.schedule;
+        run.onFailure = device.onFailure;
+        mReport.run.emplace();
+        return mEngine.search(grid, mReport.plan->schedule, mReport.plan->devices, run, *mReport.run);
+    }
+
+    // The grid once more, in the cells of the options.
+    SparseGrid narrowGrid(SparseGrid grid)
+    {
+        const ParticleView view = grid.view();
+        const double radius = grid.radius();
+        grid = SparseGrid();
+        forget(); // memory was short
+        return mEngine.buildGrid(view, radius, mReport.settled.search);
+    }
+
+    void forget() { mState = EngineState(); }
+
+    // What the engine holds of the last job and hands to this one's lists.
+    std::uint64_t reusableBytes() const
+    {
+        std::uint64_t bytes = 0;
+        for (const OpenedDevice& device : mState.devices) bytes += device.hostBytes;
+        if (!mState.lists || !isSoleOwner(mState.lists)) return bytes;
+        const NeighborListsData& lists = *mState.lists;
+        for (const PageBlock& chunk : lists.chunks) bytes += chunk.bytes();
+        return bytes + lists.slotOf.usedBytes() + lists.rowCount.usedBytes() + lists.rowBegin.usedBytes();
+    }
+
+    SearchEngine& mEngine;
+    EngineState& mState;
+    HostBudget mBudget;
+    JobReport& mReport;
+    double mPlanningSeconds = 0;
+};
+
+} // namespace
+
+NeighborLists SearchEngine::findNeighbors(const ParticleView& view, double radius, const JobOptions& options,
+                                          JobReport& report)
+{
+    return Job(*this, *mImpl, options, report).run(view, radius);
+}
+
+JobPlan SearchEngine::planJob(const ParticleView& view, double radius, const JobOptions& options)
+{
+    JobReport report;
+    return Job(*this, *mImpl, options, report).plan(view, radius);
+}
+
+NeighborLists findNeighbors(const ParticleView& view, double radius, const JobOptions& options,
+                            JobReport& report)
+{
+    return SearchEngine().findNeighbors(view, radius, options, report);
+}
+
+void writeJobNpz(const std::string& path, SearchEngine& engine, const NeighborLists& lists,
+                 const JobReport& report, ListValues values, const OutputOptions& output)
+{
+    const SearchOptions& search = report.settled.search;
+    if (report.streamed) {
+        streamNpz(path, engine, lists, values, output, report.streamBufferBytes, search);
+    } else {
+        writeNpz(path, lists, values, output, search.progress);
+    }
+}
+
+} // namespace vdb_nns

@@ -1,0 +1,231 @@
+// One call that does all a search does: devices, budgets, plans, and other encodings where the first does not fit. The same lists
+// wherever they are found.
+#include "vdb_nns/error.h"
+#include "vdb_nns/memory.h"
+#include "vdb_nns/scene.h"
+#include "vdb_nns/search_job.h"
+
+#include <gtest/gtest.h>
+#include <tbb/global_control.h>
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <cstdint>
+#include <mutex>
+#include <string>
+#include <vector>
+
+namespace vdb_nns::testing {
+namespace {
+
+Scene sceneOf(const char* name, std::uint64_t count)
+{
+    SceneOptions options;
+    options.name = name;
+    options.count = count;
+    return makeScene(options);
+}
+
+ParticleView viewOf(const Scene& scene)
+{
+    return ParticleView::fromArray(scene.positions.data(), scene.positions.size() / 3);
+}
+
+JobOptions jobOn(const std::string& device, std::uint64_t deviceBytes = 0)
+{
+    JobOptions options;
+    options.device = chooseDevices(device, 2);
+    for (DeviceLimits& limits : options.device.devices) {
+        if (deviceBytes) limits.memoryBytes = deviceBytes;
+    }
+    return options;
+}
+
+// What the process has beside a job is taken from its bound, and a reserve for each thread: so many bytes more, for two threads.
+std::uint64_t residentAnd(std::uint64_t bytes)
+{
+    constexpr std::uint64_t kReserve = std::uint64_t(32) << 20;
+    returnFreedMemory();
+    return residentMemoryBytes() + kReserve + bytes;
+}
+
+TEST(SearchJob, FindsTheSameListsOnTheCpuAndOnDevices)
+{
+    for (const char* name : {"dam_break", "spray"}) {
+        const Scene scene = sceneOf(name, 60000);
+        const ParticleView view = viewOf(scene);
+        const std::uint64_t truth = findNeighbors(view, scene.suggestedRadius).checksum();
+        for (const Encoding encoding : {Encoding::kIndex, Encoding::kMask}) {
+            for (const auto& [device, bytes] : {std::pair<const char*, std::uint64_t>("cpu", 0),
+                                                {"auto", 0},
+                                                {"sim", 0},
+                                                {"sim", std::uint64_t(1) << 20},
+                                                {"sim:3", std::uint64_t(1) << 20}}) {
+                SCOPED_TRACE(std::string(name) + " on " + device);
+                JobOptions options = jobOn(device, bytes);
+                options.search.encoding = encoding;
+                JobReport report;
+                const NeighborLists lists = findNeighbors(view, scene.suggestedRadius, options, report);
+                EXPECT_EQ(lists.checksum(), truth);
+                EXPECT_EQ(lists.encoding(), encoding);
+                EXPECT_EQ(report.plan.has_value(), !options.device.devices.empty());
+                EXPECT_EQ(report.run.has_value(), report.plan.has_value());
+                EXPECT_TRUE(report.notes.empty());
+                EXPECT_FALSE(report.streamed);
+                if (!report.run) continue;
+                ASSERT_EQ(report.run->devices.size(), options.device.devices.size());
+                EXPECT_GT(report.plan->schedule.blocks.size(), bytes > 0 ? 1u : 0u);
+                for (std::size_t d = 0; d < report.run->devices.size(); ++d) {
+                    EXPECT_LE(report.run->devices[d].peakBytes, report.plan->devices[d].memoryBytes);
+                }
+            }
+        }
+    }
+}
+
+void checkMasks()
+{
+    const Scene scene = sceneOf("block", 400000);
+    const ParticleView view = viewOf(scene);
+    const NeighborLists truth = findNeighbors(view, scene.suggestedRadius);
+    const std::uint64_t checksum = truth.checksum(), indexBytes = truth.bytes(),
+                        gridBytes = truth.grid().bytes();
+    JobOptions options = jobOn("cpu");
+    options.search.hostMemoryBytes = residentAnd(2 * gridBytes + indexBytes / 4 * 3);
+    JobReport report;
+    EXPECT_THROW(findNeighbors(view, scene.suggestedRadius, options, report), CapacityError)
+        << "another encoding only where that is allowed";
+    options.mayUseMasks = true;
+    SearchEngine engine;
+    const NeighborLists lists = engine.findNeighbors(view, scene.suggestedRadius, options, report);
+    EXPECT_EQ(lists.encoding(), Encoding::kMask);
+    EXPECT_EQ(lists.checksum(), checksum);
+    ASSERT_EQ(report.notes.size(), 1u);
+    EXPECT_NE(report.notes[0].find("held as masks instead"), std::string::npos) << report.notes[0];
+    // The next one starts where this ended.
+    JobReport next;
+    EXPECT_EQ(engine.findNeighbors(view, scene.suggestedRadius, report.settled, next).encoding(),
+              Encoding::kMask);
+    EXPECT_TRUE(next.notes.empty());
+}
+
+TEST(SearchJob, TakesMasksWhereIndexListsDoNotFit)
+{
+    tbb::task_arena(2).execute(checkMasks);
+}
+
+void checkStreaming()
+{
+    const Scene scene = sceneOf("block", 400000);
+    const ParticleView view = viewOf(scene);
+    SearchEngine engine;
+    const std::string folder = ::testing::TempDir(), held = folder + "job_held.npz",
+                      streamed = folder + "job_streamed.npz";
+    {
+        JobReport report;
+        const NeighborLists lists = engine.findNeighbors(view, scene.suggestedRadius, jobOn("cpu"), report);
+        writeJobNpz(held, engine, lists, report, ListValues::kConnectivity, {true});
+    }
+    engine = SearchEngine();
+    JobOptions options = jobOn("cpu");
+    options.written.npz = options.mayStream = true;
+    options.search.hostMemoryBytes = residentAnd(std::uint64_t(20) << 20);
+    JobReport report;
+    const NeighborLists counts = engine.findNeighbors(view, scene.suggestedRadius, options, report);
+    EXPECT_EQ(counts.encoding(), Encoding::kNone);
+    EXPECT_TRUE(report.streamed);
+    ASSERT_FALSE(report.notes.empty());
+    writeJobNpz(streamed, engine, counts, report, ListValues::kConnectivity, {true});
+    const auto bytesOf = [](const std::string& path) {
+        std::FILE* const file = std::fopen(path.c_str(), "rb");
+        std::vector<char> bytes;
+        char buffer[65536];
+        for (std::size_t n; (n = std::fread(buffer, 1, sizeof buffer, file)) > 0;) {
+            bytes.insert(bytes.end(), buffer, buffer + n);
+        }
+        std::fclose(file);
+        return bytes;
+    };
+    EXPECT_TRUE(bytesOf(held) == bytesOf(streamed));
+    std::remove(held.c_str());
+    std::remove(streamed.c_str());
+}
+
+TEST(SearchJob, StreamsRowsWhereNoListsFit)
+{
+    tbb::task_arena(2).execute(checkStreaming);
+}
+
+TEST(SearchJob, SaysWhereTheMemoryWentWhenNothingFits)
+{
+    const Scene scene = sceneOf("block", 200000);
+    const ParticleView view = viewOf(scene);
+    JobOptions options = jobOn("cpu");
+    options.search.hostMemoryBytes = 1 << 20;
+    JobReport report;
+    try {
+        findNeighbors(view, scene.suggestedRadius, options, report);
+        FAIL() << "a megabyte is less than the program has";
+    } catch (const CapacityError& error) {
+        EXPECT_GT(error.neededBytes(), error.allowedBytes());
+        EXPECT_NE(std::string(error.what()).find("the host memory allowed"), std::string::npos)
+            << error.what();
+    }
+}
+
+TEST(SearchJob, PlansWithoutRunning)
+{
+    const Scene scene = sceneOf("dam_break", 60000);
+    const ParticleView view = viewOf(scene);
+    SearchEngine engine;
+    JobOptions options = jobOn("sim", std::uint64_t(1) << 20);
+    options.search.encoding = Encoding::kMask;
+    const JobPlan planned = engine.planJob(view, scene.suggestedRadius, options);
+    EXPECT_EQ(planned.grid.particleCount(), 60000u);
+    JobReport report;
+    engine.findNeighbors(view, scene.suggestedRadius, options, report);
+    EXPECT_EQ(planned.plan.schedule.blocks.size(), report.plan->schedule.blocks.size());
+    EXPECT_EQ(engine.planJob(view, scene.suggestedRadius, jobOn("cpu")).plan.schedule.blocks.size(), 1u);
+}
+
+TEST(SearchJob, TellsItsSteps)
+{
+    class Steps : public Progress {
+    public:
+        void update(const char* step, double) override
+        {
+            const std::lock_guard<std::mutex> lock(mutex);
+            if (names.empty() || names.back() != step) names.push_back(step);
+        }
+        std::mutex mutex;
+        std::vector<std::string> names;
+    } steps;
+    const Scene scene = sceneOf("dam_break", 60000);
+    const tbb::global_control oneThread(tbb::global_control::max_allowed_parallelism, 1);
+    JobOptions options = jobOn("sim", std::uint64_t(1) << 20);
+    options.search.progress = &steps;
+    JobReport report;
+    findNeighbors(viewOf(scene), scene.suggestedRadius, options, report);
+    EXPECT_EQ(steps.names, (std::vector<std::string>{"grid", "estimate", "plan", "search"}));
+}
+
+TEST(ChooseDevices, ByName)
+{
+    EXPECT_TRUE(chooseDevices("cpu").devices.empty());
+    EXPECT_EQ(chooseDevices("sim").devices.size(), 1u);
+    EXPECT_EQ(chooseDevices("sim:16").devices.size(), 16u);
+    EXPECT_EQ(chooseDevices("auto").onFailure, DeviceFailure::kUseCpu);
+    EXPECT_EQ(chooseDevices("sim").onFailure, DeviceFailure::kStop);
+    EXPECT_EQ(chooseDevices("cpu", 8).schedule.cpuTestsPerSecond,
+              4 * chooseDevices("cpu", 2).schedule.cpuTestsPerSecond);
+    for (const char* name :
+         {"", "gpu", "sim:0", "sim:17", "sim:", "sim:2x", "cuda:", "cuda:-1", "cuda:1000", "simulated"}) {
+        EXPECT_THROW(chooseDevices(name), InvalidInput) << name;
+    }
+    EXPECT_EQ(simulatedDevice("gtx780").memoryBytes, std::uint64_t(3) << 30);
+    EXPECT_GT(simulatedDevice("h200").rates.testsPerSecond, simulatedDevice("gtx780").rates.testsPerSecond);
+    EXPECT_THROW(simulatedDevice("h100"), InvalidInput);
+}
+
+} // namespace
+} // namespace vdb_nns::testing
