@@ -88,9 +88,9 @@ public:
     /// Runs a schedule of makeSchedule() on `devices`, which must be those that it was made for, and on TBB
     /// workers. The lists are those of search(), byte for byte, in the encoding of the schedule, with
     /// options.search.radius, for which the estimate should have been made. A block that outgrows its estimate
-    /// is split and redone; a device that refuses memory is asked for less; what fits
-    /// no device is run by TBB workers. `report` counts all of that. Host memory besides the lists: staging
-    /// memory as large as the devices' buffers, and as much again for simulated devices.
+    /// is split and redone; a device that refuses memory is asked for less; what fits no device is run by TBB
+    /// workers. `report` counts all of that. Host memory besides the lists: staging memory as large as the
+    /// devices' buffers, and as much again for simulated devices.
     /// @throws DeviceError if a device is not there, or fails under DeviceFailure::kStop
     /// @throws CapacityError if the lists cannot fit beside that memory
     /// @throws InvalidInput for a schedule of another grid, or a radius above that of the grid's lattice;

@@ -1,11 +1,12 @@
 // The arithmetic of a lattice: its cells in units of space, and why no pair is lost at their faces.
 //
-// Positions are multiplied by cellsPerUnit(), and the edge of a cell is that factor's real reciprocal. In units of it the cell
-// coordinate of a particle is tau in real arithmetic and t as computed, |t - tau| <= E (cell_map.h). Two particles within the
-// radius differ by at most rho = radius * cellsPerUnit in tau, so by rho + 2 (E + 2^-23 + 2^-22 + 2^-21) in the coordinate that
-// decides the cell (t rounded to float about the leaf's centre, then cellInLeaf). A lattice's radius is at most spanOfCells(), so
-// rho <= reach / (1 + 2^-16) but for some roundings of 2^-50, and with E <= 6.7e-6 the sum is below reach: their cells differ by
-// at most reach, and no pair is lost. For the voxels of a file file_leaves.h has a proof of its own.
+// Positions are multiplied by cellsPerUnit(), and the edge of a cell is that factor's real reciprocal. In
+// units of it the cell coordinate of a particle is tau in real arithmetic and t as computed, |t - tau| <= E
+// (cell_map.h). Two particles within the radius differ by at most rho = radius * cellsPerUnit in tau, so by
+// rho + 2 (E + 2^-23 + 2^-22 + 2^-21) in the coordinate that decides the cell (t rounded to float about the
+// leaf's centre, then cellInLeaf). A lattice's radius is at most spanOfCells(), so rho <= reach / (1 + 2^-16)
+// but for 1e-12 of it, and with E <= 6.7e-6 the sum is below reach by 1e-7: their cells differ by at most
+// reach, and no pair is lost. For the voxels of a file file_leaves.h has a proof of its own.
 #pragma once
 
 #include "points/particle_source.h"
@@ -44,10 +45,12 @@ struct CellChoice {
     int reach = 1;        // the next whole number
 };
 
-// Sizes a hundredth below 1, 1/2 and 1/3 of the radius are rounded up to them: no decimal fraction is a third.
+// Sizes a hundredth below 1, 1/2 and 1/3 of the radius are rounded up to them: no decimal fraction is a
+// third.
 CellChoice cellsOfSize(double cellSize);
 
-// Counted from the reference of the source. Where the edge or its reciprocal would overflow, cells are wider than they need be.
+// Counted from the reference of the source. Where the edge or its reciprocal would overflow, cells are wider
+// than they need be.
 Lattice latticeOf(const ParticleSource& source, double radius, const CellChoice& cells);
 
 // Throw InvalidInput: for a radius that is no positive finite number; for a lattice that no search could use.

@@ -17,7 +17,8 @@ namespace {
 
 using Offer = std::function<LatticeFit(const Lattice&)>;
 
-// Offers cells of one size, counted from where they are not too many. What did not fit is told by `lattice` and the result.
+// Offers cells of one size, counted from where they are not too many. What did not fit is told by `lattice`
+// and the result.
 LatticeFit offerCells(const ParticleSource& source, Lattice& lattice, const Offer& offer)
 {
     LatticeFit fit = offer(lattice);

@@ -21,8 +21,8 @@
 
 namespace vdb_nns {
 
-// One search: what all its tasks share. Who is asked about, and among whom neighbors are looked for, are two sets of points on
-// one lattice.
+// One search: what all its tasks share. The particles whose neighbors are wanted, and those among which they are
+// looked for, are two sets of points on one lattice.
 struct SearchRun {
     const SparseGridData& queries;
     const SparseGridData& candidates;
