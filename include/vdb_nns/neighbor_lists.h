@@ -104,6 +104,7 @@ public:
     /// The particles and the grid that the lists were made from.
     const ParticleView& view() const;
     const SparseGrid& grid() const;
+    double radius() const; ///< of the search that made them, in world units; at most grid().radius()
 
     const NeighborListsData& data() const { return *mData; }
 

@@ -1,6 +1,7 @@
 // The search: all steps in one call, each step by itself, and an engine that keeps its buffers.
 #pragma once
 
+#include "vdb_nns/lattice.h"
 #include "vdb_nns/neighbor_lists.h"
 #include "vdb_nns/particle_view.h"
 #include "vdb_nns/search_options.h"
@@ -57,7 +58,7 @@ public:
     SearchEngine(SearchEngine&&) noexcept;
     SearchEngine& operator=(SearchEngine&&) noexcept;
 
-    /// Sorts the particles into a sparse grid.
+    /// Sorts the particles into a sparse grid, on the lattice that suits them and the radius (chooseLattice()).
     /// Cost: about 2 passes over the particles and 16 bytes a particle.
     /// @param radius world units, > 0 and finite.
     /// @throws InvalidInput for a bad radius or option
@@ -66,26 +67,41 @@ public:
     /// @throws CapacityError, Cancelled
     SparseGrid buildGrid(const ParticleView& view, double radius, const SearchOptions& options = {});
 
-    /// Makes the lists of all particles of a grid, in options.encoding.
+    /// Sorts the particles of a view on a lattice that is given: views that are sorted on one lattice have the
+    /// same cells.
+    /// Cost: as above, without what choosing cells takes.
+    /// @param options `cellSize` and `wideCells` are not read.
+    /// @throws InvalidInput for a lattice with a bad edge, reach or radius; for one that does not suit the view (a
+    ///         reference that is no voxel of a VDB grid, or voxels as cells where the view has none of that
+    ///         edge); for a bad option
+    /// @throws InputError if a cell coordinate would pass +-(2^31 - 4096), or the transform is too nearly singular
+    ///         for the cells, with the extent and the smallest cells that work; with voxels as cells for a
+    ///         particle outside its voxel; for a non-finite particle under NonFinite::kFail
+    /// @throws CapacityError, Cancelled
+    SparseGrid buildGrid(const ParticleView& view, const Lattice& lattice, const SearchOptions& options = {});
+
+    /// Makes the lists of all particles of a grid, in options.encoding, with options.radius.
     /// @throws CapacityError if the lists cannot fit, before the memory is gone
-    /// @throws InvalidInput, Cancelled
+    /// @throws InvalidInput for a radius above that of the grid's lattice, or a bad option; Cancelled
     NeighborLists search(const SparseGrid& grid, const SearchOptions& options = {});
 
     /// Runs a schedule of makeSchedule() on `devices`, which must be those that it was made for, and on TBB
-    /// workers. The lists are those of search(), byte for byte, in the encoding of the schedule. A block that
-    /// outgrows its estimate is split and redone; a device that refuses memory is asked for less; what fits
-    /// no device is run by TBB workers. `report` counts all of that. Host memory besides the lists: staging
-    /// memory as large as the devices' buffers, and as much again for simulated devices.
+    /// workers. The lists are those of search(), byte for byte, in the encoding of the schedule, with
+    /// options.search.radius, for which the estimate should have been made. A block that outgrows its estimate
+    /// is split and redone; a device that refuses memory is asked for less; what fits no device is run by TBB
+    /// workers. `report` counts all of that. Host memory besides the lists: staging memory as large as the
+    /// devices' buffers, and as much again for simulated devices.
     /// @throws DeviceError if a device is not there, or fails under DeviceFailure::kStop
     /// @throws CapacityError if the lists cannot fit beside that memory
-    /// @throws InvalidInput for a schedule of another grid; Cancelled
+    /// @throws InvalidInput for a schedule of another grid, or a radius above that of the grid's lattice;
+    ///         Cancelled
     NeighborLists search(const SparseGrid& grid, const Schedule& schedule,
                          const std::vector<DeviceLimits>& devices, const RunOptions& options,
                          ScheduleRun& report);
 
     /// Gives each query's neighbors to a visitor, without storing lists.
     /// @param options `encoding` has no meaning here; `hostMemoryBytes` is not read.
-    /// @throws InvalidInput, Cancelled, and whatever `visitor` throws
+    /// @throws InvalidInput as search(), Cancelled, and whatever `visitor` throws
     void visit(const SparseGrid& grid, const NeighborVisitor& visitor, const SearchOptions& options = {});
 
     /// The same without distances.

@@ -31,6 +31,11 @@ struct SearchOptions {
     /// How results are held.
     Encoding encoding = Encoding::kIndex;
 
+    /// Radius of a search, in world units, at most that of the grid's lattice; 0: the lattice's. The lists hold the same
+    /// neighbors as those of a grid that was built for this radius; masks take as many bits as with the lattice's. Not read
+    /// by what builds a grid. Where a call takes a radius of its own (findNeighbors()), that is the lattice's.
+    double radius = 0;
+
     static constexpr double kSmallestCell = 0.33, kLargestCell = 4;
 
     /// Cell edge in radii, kSmallestCell to kLargestCell, padded by 1/65536. The radius spans the next whole

@@ -1,6 +1,7 @@
-// The sparse grid: particles sorted by leaf and cell over the topology of an OpenVDB tree.
+// The sparse grid: particles sorted on a lattice, by leaf and cell, over the topology of an OpenVDB tree.
 #pragma once
 
+#include "vdb_nns/lattice.h"
 #include "vdb_nns/particle_view.h"
 #include "vdb_nns/search_options.h"
 #include "vdb_nns/types.h"
@@ -14,8 +15,7 @@ struct SparseGridData; // src/grid/sparse_grid_data.h
 
 /// Immutable; a cheap handle whose copies share the data. Safe to read from several threads.
 ///
-/// Space is cut into cubic cells with integer coordinates; their edge is cellSize() (SearchOptions::cellSize
-/// with its padding, or the edge of a voxel). 8^3 cells are a leaf, and only occupied leaves exist. The tree
+/// Space is cut into the cells of lattice(). 8^3 cells are a leaf, and only occupied leaves exist. The tree
 /// above them is OpenVDB's, with nodes of 128^3 and 4096^3 cells. Leaves stand in Morton order within a
 /// 4096^3 node, so every octant of a node is a contiguous range of leaves. Inside a leaf the cells stand in
 /// OpenVDB's linear order, (x * 8 + y) * 8 + z, and inside a cell the particles stand by number. A slot is a
@@ -35,10 +35,11 @@ public:
     };
 
     bool empty() const { return particleCount() == 0; }
-    double radius() const;                ///< world units
-    int reach() const;                    ///< cells that the radius spans, 1 to 3
-    double cellSize() const;              ///< world units
-    std::uint64_t particleCount() const;  ///< particles in the grid: all finite ones
+    const Lattice& lattice() const;                    ///< where the cells are; other grids may share it
+    double radius() const { return lattice().radius; } ///< the largest that a search may have; world units
+    int reach() const { return lattice().reach; }      ///< cells that it spans, 1 to 3
+    double cellSize() const { return lattice().cellSize; } ///< world units
+    std::uint64_t particleCount() const;                   ///< particles in the grid: all finite ones
     std::uint64_t nonfiniteCount() const; ///< particles left out because a coordinate is NaN or infinite
     std::uint64_t leafCount() const;      ///< occupied leaves
     std::uint64_t cellCount() const;      ///< occupied cells

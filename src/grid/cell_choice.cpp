@@ -9,8 +9,8 @@
 #include "cpu/kernels.h"
 #include "cpu/round_down-inl.h"
 #include "grid/cell_map.h"
+#include "grid/lattice_choice.h"
 #include "grid/leaf_table.h"
-#include "grid/placement.h"
 #include "points/particle_source.h"
 
 #include <tbb/parallel_for.h>
@@ -130,7 +130,7 @@ void keep(const CubeMap& map, double x, double y, double z, std::vector<Kept>& k
     unsigned place = 0;
     for (int k = 0; k < 3; ++k) {
         const double t = map.rows[k][0] * x + map.rows[k][1] * y + map.rows[k][2] * z;
-        if (!(std::fabs(t) < CellMap::kLimit)) return;
+        if (!(std::fabs(t) < kCellLimit)) return;
         const double cube = roundDown(t); // as in sampleCubes(): at a face both mean the same cube
         const int unit = static_cast<int>((t - cube) * kUnits);
         particle.cube[k] = static_cast<std::int32_t>(cube);
@@ -311,7 +311,8 @@ double cheapestSize(const Sample& sample)
 double chooseCellSize(const ParticleSource& source, double radius, SimdLevel simd, bool mayBeWide,
                       const CancelCheck& cancel)
 {
-    const OccupancySample occupancy = sampleOccupancy(source, CellMap(source, radius, 1, simd));
+    const OccupancySample occupancy =
+        sampleOccupancy(source, CellMap(source, latticeOf(source, radius, {}), simd));
     if (occupancy.perLeaf >= kCrowded * kLeafCells) return 0.5;
     if (!mayBeWide || occupancy.perLeaf == 0 || occupancy.perLeaf >= kDense * kLeafCells) return 1;
     const Sample sample =

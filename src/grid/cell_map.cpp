@@ -9,19 +9,15 @@
 
 namespace vdb_nns {
 
-CellMap::CellMap(const ParticleSource& source, double radius, double cellsPerRadius, SimdLevel simd)
-    : reference(source.reference()),
-      mRadius(radius),
-      mCellsPerRadius(cellsPerRadius),
+CellMap::CellMap(const ParticleSource& source, const Lattice& lattice, SimdLevel simd)
+    : reference(lattice.reference),
+      mRadius(lattice.radius),
+      mCellsPerUnit(cellsPerUnit(lattice)),
       mIsArray(source.isArray()),
       mLocateAxis(kernelsFor(simd).locateAxis)
 {
-    // Where the reciprocal would leave the normal numbers, cells are wider than they need be, which is always correct.
-    cellsPerUnit = radius > 1e300    ? std::ldexp(1.0, -1025)
-                   : radius < 1e-290 ? 1e289
-                                     : cellsPerRadius / (radius * (1 + kCellPadding));
     for (int k = 0; k < 3; ++k) {
-        for (int c = 0; c < 3; ++c) mMatrix[k][c] = source.linear()[k][c] * cellsPerUnit;
+        for (int c = 0; c < 3; ++c) mMatrix[k][c] = source.linear()[k][c] * mCellsPerUnit;
     }
     using RowMajor = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
     const Eigen::Map<const RowMajor> linear(source.linear()[0].data());
@@ -34,11 +30,11 @@ bool CellMap::locate(const double (*stored)[kBatch], std::size_t count, Located&
     for (int k = 0; k < 3; ++k) {
         double t[kBatch];
         if (mIsArray) {
-            for (std::size_t i = 0; i < count; ++i) t[i] = stored[k][i] * cellsPerUnit;
+            for (std::size_t i = 0; i < count; ++i) t[i] = stored[k][i] * mCellsPerUnit;
         } else {
             for (std::size_t i = 0; i < count; ++i) t[i] = cell(k, stored[0][i], stored[1][i], stored[2][i]);
         }
-        inside &= mLocateAxis(t, count, kLimit, out.leaf[k], out.local[k]);
+        inside &= mLocateAxis(t, count, kCellLimit, out.leaf[k], out.local[k]);
     }
     return inside;
 }
@@ -47,8 +43,8 @@ bool CellMap::inRange(double cx, double cy, double cz) const
 {
     const double stored[3] = {cx, cy, cz};
     for (int k = 0; k < 3; ++k) {
-        const double t = mIsArray ? stored[k] * cellsPerUnit : cell(k, cx, cy, cz);
-        if (!(std::fabs(t) < kLimit)) return false;
+        const double t = mIsArray ? stored[k] * mCellsPerUnit : cell(k, cx, cy, cz);
+        if (!(std::fabs(t) < kCellLimit)) return false;
     }
     return true;
 }
@@ -64,7 +60,8 @@ double CellMap::errorCells(const double mostCells[3]) const
     return 7 * 0x1p-53 * worst;
 }
 
-InputError CellMap::rangeError(const ParticleSource& source, double coordinateError) const
+InputError CellMap::rangeError(const ParticleSource& source, double coordinateError,
+                               std::optional<double> cellsPerRadius) const
 {
     const Bounds bounds = boundsOf(source, reference);
     const Matrix3& m = source.linear();
@@ -80,24 +77,29 @@ InputError CellMap::rangeError(const ParticleSource& source, double coordinateEr
     }
     // A little more than needed, so that no rounding of the text undoes it.
     constexpr double kMore = 1.001;
-    double smallest = extent * (mCellsPerRadius / kLimit) * kMore;
+    double smallest = extent / kCellLimit * kMore; // edge of a cell
     std::ostringstream text;
     text.precision(9);
-    text << "the particles reach " << extent << " world units from the middle, " << (extent * cellsPerUnit)
-         << " cells of edge " << 1 / cellsPerUnit << " for radius " << mRadius << "; ";
+    text << "the particles reach " << extent << " world units from the "
+         << (cellsPerRadius ? "middle, " : "reference of the lattice, ") << (extent * mCellsPerUnit)
+         << " cells of edge " << 1 / mCellsPerUnit << " for radius " << mRadius << "; ";
     if (coordinateError > kMaxErrorCells) {
-        // With a radius f times as large the bound is at most coordinateError / f, and what rounding up to leaves adds.
+        // With cells f times as large the bound is at most coordinateError / f, and what rounding up to leaves adds.
         constexpr double kLeaf[3] = {8, 8, 8};
         const double left = kMaxErrorCells - errorCells(kLeaf);
-        smallest = left > 0
-                       ? std::max(smallest, mCellsPerRadius / cellsPerUnit * (coordinateError / left) * kMore)
-                       : std::numeric_limits<double>::infinity();
+        smallest = left > 0 ? std::max(smallest, coordinateError / left / mCellsPerUnit * kMore)
+                            : std::numeric_limits<double>::infinity();
         text << "the transform is so nearly singular there that a cell coordinate may be wrong by "
              << coordinateError << " cells, the limit is " << kMaxErrorCells;
     } else {
         text << "the limit is 2^31 - 4096 cells";
     }
-    text << ": remove the outliers or use a radius of at least " << smallest;
+    text << ": remove the outliers or use ";
+    if (cellsPerRadius) {
+        text << "a radius of at least " << smallest * *cellsPerRadius;
+    } else {
+        text << "a lattice with cells of at least " << smallest;
+    }
     return InputError(text.str());
 }
 

@@ -1,4 +1,4 @@
-// From stored positions to cell coordinates, with a bound on the rounding.
+// From the stored positions of a view to cell coordinates of a lattice, with a bound on the rounding.
 //
 // The true cell coordinate of a particle is tau = linear * (stored - reference) * cellsPerUnit, in real arithmetic; t is
 // what locate() computes. Per axis |t - tau| <= errorCells(most), where most bounds |t|, and |stored - reference| through M's
@@ -8,27 +8,22 @@
 //   both:   the leaf is the nearest integer to t / 8 - 1/2, whose difference may round (1)
 // so at most 6 relative roundings of u = 2^-53 of sum |m| |c|; 7 u covers their products. What follows, t - 8 leaf - 4,
 // is exact to 2^-51.
-//
-// A cell is a hair wider than radius / cellsPerRadius: two particles within the radius differ by at most radiusCells in tau,
-// so by radiusCells + 2 (E + 2^-23 + 2^-22 + 2^-21) in the coordinate that decides the cell (t rounded to float about the
-// leaf's centre, then cellInLeaf). radiusCells = cellsPerRadius / (1 + 2^-16) with cellsPerRadius <= reach, so with E <= 6.7e-6
-// that is below reach, and their cells differ by at most reach: no pair is lost at a cell face.
+// What the bound is for stands in lattice.h.
 #pragma once
 
 #include "cpu/kernels.h"
+#include "grid/lattice.h"
 #include "points/particle_source.h"
 #include "vdb_nns/error.h"
 
+#include <cmath>
 #include <cstdint>
+#include <optional>
 
 namespace vdb_nns {
 
 struct CellMap {
-    static constexpr double kCellPadding = 1.0 / 65536;
-    static constexpr double kMaxErrorCells = 6.7e-6;
-    static constexpr double kLimit = 2147483648.0 - 4096; // cell coordinates stay inside
-
-    CellMap(const ParticleSource& source, double radius, double cellsPerRadius, SimdLevel simd);
+    CellMap(const ParticleSource& source, const Lattice& lattice, SimdLevel simd);
 
     static constexpr std::size_t kBatch =
         512; // particles: what locate() works on stays in the first-level cache
@@ -47,12 +42,12 @@ struct CellMap {
 
     double errorCells(const double mostCells[3]) const;
 
-    // Says how far the particles reach and which radius works. `coordinateError` is what errorCells() gave, or 0 when cell
-    // coordinates are out of range.
-    InputError rangeError(const ParticleSource& source, double coordinateError) const;
+    // Says how far the particles reach and which radius works, with so many cells a radius; or which cells do, where they were
+    // given and not chosen for a radius. `coordinateError` is what errorCells() gave, or 0 when cell coordinates are out of range.
+    InputError rangeError(const ParticleSource& source, double coordinateError,
+                          std::optional<double> cellsPerRadius) const;
 
     Vec3d reference;
-    double cellsPerUnit;
 
 private:
     double cell(int axis, double cx, double cy, double cz) const
@@ -61,9 +56,9 @@ private:
         return m[0] * cx + m[1] * cy + m[2] * cz;
     }
 
-    double mRadius;
-    double mCellsPerRadius;
-    Matrix3 mMatrix; // linear * cellsPerUnit
+    double mRadius; // of the lattice
+    double mCellsPerUnit;
+    Matrix3 mMatrix; // linear * cells in a unit
     Matrix3 mSpread; // |mMatrix| |its inverse|
     bool mIsArray;
     LocateAxisFunction mLocateAxis;
@@ -73,6 +68,12 @@ private:
 inline unsigned cellInLeaf(float local)
 {
     return static_cast<unsigned>(static_cast<int>(local + (4 - 0x1p-21f)));
+}
+
+// Bound on the cell coordinates of a leaf along an axis, from the number of the leaf.
+inline double mostCellsOf(std::int32_t leaf)
+{
+    return std::fabs(leaf * 8.0 + 4) + 4;
 }
 
 struct Bounds {

@@ -23,16 +23,14 @@ namespace {
 // cells, because those hold one particle each.
 constexpr double kLeastRadius = 0.5;
 
-// Edges may differ by that share: transforms that were composed have rounded entries.
-constexpr double kUneven = 1e-12;
-
 // Edge of a voxel if the transform does nothing but scale and mirror, the same on each axis; else 0.
 double voxelEdge(const Matrix3& linear)
 {
     const double edge = std::fabs(linear[0][0]);
     for (int k = 0; k < 3; ++k) {
         for (int c = 0; c < 3; ++c) {
-            if (!(std::fabs(std::fabs(linear[k][c]) - (k == c ? edge : 0)) <= kUneven * (k == c) * edge))
+            if (!(std::fabs(std::fabs(linear[k][c]) - (k == c ? edge : 0)) <=
+                  kUnevenVoxels * (k == c) * edge))
                 return 0;
         }
     }
@@ -51,7 +49,7 @@ std::vector<FileLeaf> sortedLeaves(const ParticleSource& source)
     for (std::size_t i = 0; i < leaves.size(); ++i) {
         leaves[i] = source.fileLeaf(i);
         for (const std::int32_t origin : leaves[i].origin) {
-            if (!(std::fabs(origin + 4.0) + 4 < CellMap::kLimit)) return {};
+            if (!(std::fabs(origin + 4.0) + 4 < kCellLimit)) return {};
         }
         roots.add(cellsOf(leaves[i]));
     }
@@ -112,18 +110,46 @@ bool copyLeaf(const ParticleSource& source, const FileLeaf& leaf, const LeafReco
 
 } // namespace
 
-bool takeOverLeaves(const ParticleView& view, double radius, const SearchOptions& options,
+std::optional<Lattice> latticeOfVoxels(const ParticleSource& source, double radius)
+{
+    if (source.isArray() || source.size() == 0) return std::nullopt;
+    Lattice lattice;
+    lattice.cellSize = voxelEdge(source.linear());
+    lattice.radius = radius;
+    lattice.usesVoxels = true;
+    const double edge = lattice.cellSize;
+    if (!(edge > 1e-290 && edge < 1e290 && voxelsSpan(edge, radius) && radius / edge >= kLeastRadius))
+        return std::nullopt;
+    return lattice;
+}
+
+bool areCells(const ParticleSource& source, const Lattice& lattice)
+{
+    return !source.isArray() && voxelEdge(source.linear()) == lattice.cellSize;
+}
+
+bool particlesAreInVoxels(const ParticleSource& source, const CancelCheck& cancel)
+{
+    if (sortedLeaves(source).empty() && source.size() > 0) return false;
+    std::atomic<bool> inside{true};
+    const tbb::blocked_range<std::size_t> range(0, source.size(), 8192);
+    tbb::parallel_for(range, [&](const auto& r) {
+        cancel.check();
+        for (std::size_t i = r.begin(); i < r.end() && inside; ++i) {
+            for (const double offset : source.stored(i).offset) {
+                if (!(std::fabs(offset) <= 0.5)) inside = false;
+            }
+        }
+    });
+    return inside;
+}
+
+bool takeOverLeaves(const ParticleView& view, const Lattice& lattice, const SearchOptions& options,
                     SparseGridData& grid)
 {
     const ParticleSource& source = view.source();
-    if (source.isArray() || source.size() == 0) return false;
-    const double edge = voxelEdge(source.linear()), radiusCells = radius / edge;
-    // A little below 1, so that neither the rounding of the quotient nor uneven edges matter.
-    if (!(edge > 1e-290 && edge < 1e290 && radiusCells < 1 - 2 * kUneven && radiusCells >= kLeastRadius)) {
-        return false;
-    }
     const std::vector<FileLeaf> leaves = sortedLeaves(source);
-    if (leaves.empty()) return false;
+    if (leaves.empty() && source.size() > 0) return false;
     const CancelCheck cancel(options.progress, "grid");
     grid.leafOrigins.resize(leaves.size());
     grid.leaves.resize(leaves.size() + 1);
@@ -134,11 +160,8 @@ bool takeOverLeaves(const ParticleView& view, double radius, const SearchOptions
         slot += leaves[l].ends[511];
     }
     grid.view = view;
-    grid.radius = radius;
-    grid.reach = 1;
-    grid.cellsPerUnit = 1 / edge;
-    grid.radiusCells = radiusCells;
-    grid.coordinateError = 16 * kUneven; // of positions less than 12 cells from the leaf's centre
+    grid.lattice = lattice;
+    grid.coordinateError = 16 * kUnevenVoxels; // of positions less than 12 cells from the leaf's centre
     grid.nonfiniteCount = 0;
     checkGridCapacity(grid, {slot, leaves.size(), 0, grid.x.usedBytes() * 4}, options.hostMemoryBytes);
     grid.topology.build({grid.leafOrigins.data(), leaves.size()}, cancel);

@@ -6,14 +6,27 @@
 // axis: by one at most, and no pair is lost.
 #pragma once
 
+#include "grid/lattice.h"
 #include "grid/sparse_grid_data.h"
+#include "util/cancel.h"
 #include "vdb_nns/search_options.h"
+
+#include <optional>
 
 namespace vdb_nns {
 
-// False, with the grid in any state, when the file's leaves do not serve or would make the search slower than sorting.
+// The voxels as a lattice, if transform and radius permit it and the search would not be slower than in sorted cells.
+std::optional<Lattice> latticeOfVoxels(const ParticleSource& source, double radius);
+
+// Whether the voxels of a grid are the cells of such a lattice, as far as its transform says.
+bool areCells(const ParticleSource& source, const Lattice& lattice);
+
+// Whether the leaves serve: all are in range and every particle is in its voxel. One pass over the particles.
+bool particlesAreInVoxels(const ParticleSource& source, const CancelCheck& cancel);
+
+// Makes the grid; the voxels are the cells of the lattice. False, with the grid in any state, when the leaves do not serve.
 // Throws CapacityError and Cancelled as SearchEngine::buildGrid().
-bool takeOverLeaves(const ParticleView& view, double radius, const SearchOptions& options,
+bool takeOverLeaves(const ParticleView& view, const Lattice& lattice, const SearchOptions& options,
                     SparseGridData& grid);
 
 } // namespace vdb_nns

@@ -79,31 +79,6 @@ void locateChunk(const ParticleSource& source, const CellMap& map, Chunk& chunk,
     }
 }
 
-struct Located {
-    std::uint64_t nonfinite = 0;
-    bool outOfRange = false;
-};
-
-// `mostBytes`: of the leaves that all chunks find. Particles in no order have each leaf in every chunk.
-Located locate(const ParticleSource& source, const CellMap& map, std::vector<Chunk>& chunks,
-               std::uint32_t* leafOf, std::uint64_t mostBytes, const CancelCheck& cancel)
-{
-    std::atomic<std::uint64_t> bytes{0};
-    tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t c) {
-        LeafTable& leaves = chunks[c].leaves;
-        locateChunk(source, map, chunks[c], leafOf, cancel);
-        leaves.finish();
-        const std::uint64_t sum = bytes += leaves.bytes();
-        if (sum > mostBytes) throw gridDoesNotFit(source.size(), leaves.size(), sum, mostBytes);
-    });
-    Located all;
-    for (const Chunk& chunk : chunks) {
-        all.nonfinite += chunk.nonfinite;
-        all.outOfRange |= chunk.outOfRange;
-    }
-    return all;
-}
-
 } // namespace
 
 CapacityError gridDoesNotFit(std::size_t particles, std::size_t leaves, std::uint64_t needed,
@@ -116,30 +91,26 @@ CapacityError gridDoesNotFit(std::size_t particles, std::size_t leaves, std::uin
                          needed, allowed);
 }
 
-CellChoice cellsOfSize(double cellSize)
+Placement placeParticles(const ParticleSource& source, const CellMap& map, const SearchOptions& options,
+                         std::uint32_t* leafOf, const CancelCheck& cancel)
 {
-    const double perRadius = 1 / cellSize;
-    const int reach = static_cast<int>(std::ceil(0.99 * perRadius));
-    return {std::min<double>(perRadius, reach), reach};
-}
-
-Placement placeParticles(const ParticleSource& source, double radius, const CellChoice& cells,
-                         const SearchOptions& options, std::uint32_t* leafOf, const CancelCheck& cancel)
-{
-    Placement placement{{source, radius, cells.perRadius, options.simd}, makeChunks(source.size())};
-    CellMap& map = placement.map;
     const std::uint64_t most =
         options.hostMemoryBytes ? options.hostMemoryBytes : std::numeric_limits<std::uint64_t>::max();
-    Located located = locate(source, map, placement.chunks, leafOf, most, cancel);
-    if (located.outOfRange && source.isArray()) {
-        // Far from the origin: count cells from the middle of the particles instead, and try once more.
-        const Bounds bounds = boundsOf(source, Vec3d{});
-        for (int k = 0; k < 3; ++k) map.reference[k] = bounds.low[k] / 2 + bounds.high[k] / 2;
-        placement.chunks = makeChunks(source.size());
-        located = locate(source, map, placement.chunks, leafOf, most, cancel);
+    Placement placement;
+    std::vector<Chunk>& chunks = placement.chunks = makeChunks(source.size());
+    // Of the leaves that all chunks find. Particles in no order have each leaf in every chunk.
+    std::atomic<std::uint64_t> bytes{0};
+    tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t c) {
+        LeafTable& leaves = chunks[c].leaves;
+        locateChunk(source, map, chunks[c], leafOf, cancel);
+        leaves.finish();
+        const std::uint64_t sum = bytes += leaves.bytes();
+        if (sum > most) throw gridDoesNotFit(source.size(), leaves.size(), sum, most);
+    });
+    for (const Chunk& chunk : chunks) {
+        placement.nonfinite += chunk.nonfinite;
+        placement.outOfRange |= chunk.outOfRange;
     }
-    if (located.outOfRange) throw map.rangeError(source, 0);
-    placement.nonfinite = located.nonfinite;
     return placement;
 }
 

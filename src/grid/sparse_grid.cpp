@@ -11,6 +11,7 @@
 #include "cpu/leaves_in_reach-inl.h"
 #include "grid/cell_map.h"
 #include "grid/file_leaves.h"
+#include "grid/lattice_choice.h"
 #include "grid/placement.h"
 #include "grid/sparse_grid_data.h"
 #include "points/particle_source.h"
@@ -149,7 +150,7 @@ double coordinateErrorOf(const CellMap& map, const std::vector<Vec3i>& leafOrigi
 {
     double most[3] = {0, 0, 0};
     for (const Vec3i& origin : leafOrigins) {
-        for (int k = 0; k < 3; ++k) most[k] = std::max(most[k], std::fabs(origin[k] + 4.0) + 4);
+        for (int k = 0; k < 3; ++k) most[k] = std::max(most[k], mostCellsOf(origin[k] >> 3));
     }
     return map.errorCells(most);
 }
@@ -168,31 +169,27 @@ void checkGridCapacity(const SparseGridData& grid, const GridNeed& need, std::ui
 
 namespace {
 
-void sortIntoCells(const ParticleView& view, double radius, double cellSize, const SearchOptions& options,
-                   GridScratch& scratch, SparseGridData& grid)
+// Where the lattice does not fit the grid is left in any state.
+LatticeFit sortIntoCells(const ParticleView& view, const Lattice& lattice, const SearchOptions& options,
+                         GridScratch& scratch, SparseGridData& grid)
 {
     const ParticleSource& source = view.source();
     const CancelCheck cancel(options.progress, "grid");
+    const CellMap map(source, lattice, options.simd);
     scratch.leafOf.resizeDiscarding(source.size());
-    const CellChoice cells = cellsOfSize(cellSize);
-    Placement placed = placeParticles(source, radius, cells, options, scratch.leafOf.data(), cancel);
+    Placement placed = placeParticles(source, map, options, scratch.leafOf.data(), cancel);
+    if (placed.outOfRange) return {};
     if (placed.nonfinite > 0 && options.nonfinite == NonFinite::kFail) {
         throw InputError(std::to_string(placed.nonfinite) + " of " + std::to_string(source.size()) +
                          " particles have a position that is NaN or infinite: repair them or skip them");
     }
     cancel.update(0.3);
-    const CellMap& map = placed.map;
     std::vector<Chunk>& chunks = placed.chunks;
     mergeLeaves(chunks, grid);
     grid.view = view;
-    grid.radius = radius;
-    grid.reach = cells.reach;
-    grid.cellsPerUnit = map.cellsPerUnit;
-    grid.radiusCells = radius * map.cellsPerUnit;
+    grid.lattice = lattice;
     grid.coordinateError = coordinateErrorOf(map, grid.leafOrigins);
-    if (!(grid.coordinateError <= CellMap::kMaxErrorCells)) {
-        throw map.rangeError(source, grid.coordinateError);
-    }
+    if (!(grid.coordinateError <= kMaxErrorCells)) return {false, grid.coordinateError};
     grid.nonfiniteCount = placed.nonfinite;
     const std::size_t particles = grid.leaves.back().firstSlot;
     GridNeed need{particles, grid.leafCount(), 0, 0};
@@ -214,26 +211,61 @@ void sortIntoCells(const ParticleView& view, double radius, double cellSize, con
     };
     sortCells(scratch, grid, checkCells, cancel);
     cancel.update(1);
+    return {true, grid.coordinateError};
+}
+
+LatticeFit sortOn(const ParticleView& view, const Lattice& lattice, const SearchOptions& options,
+                  GridScratch& scratch, SparseGridData& grid)
+{
+    if (lattice.usesVoxels) return {takeOverLeaves(view, lattice, options, grid), 0};
+    return sortIntoCells(view, lattice, options, scratch, grid);
+}
+
+// Throws InvalidInput for a lattice whose cells cannot be those of the view, whatever its particles.
+void requireSuitable(const ParticleSource& source, const Lattice& lattice)
+{
+    checkLattice(lattice);
+    if (lattice.usesVoxels && !areCells(source, lattice)) {
+        throw InvalidInput("the lattice has voxels of edge " + shortest(lattice.cellSize) +
+                           " as cells, and the particles are not points of a VDB grid of such voxels: "
+                           "use a lattice of cells of its own");
+    }
+    if (source.isArray() || lattice.usesVoxels) return;
+    for (const double x : lattice.reference) {
+        if (std::floor(x) != x || std::fabs(x) > kCellLimit) {
+            throw InvalidInput("the reference of the lattice, " + shortest(x) +
+                               " on one axis, is no voxel: for VDB grids it must be a whole number inside "
+                               "+-(2^31 - 4096)");
+        }
+    }
 }
 
 } // namespace
 
+void buildSparseGrid(const ParticleView& view, const Lattice& lattice, const SearchOptions& options,
+                     GridScratch& scratch, SparseGridData& grid)
+{
+    const ParticleSource& source = view.source();
+    requireSuitable(source, lattice);
+    const LatticeFit fit = sortOn(view, lattice, options, scratch, grid);
+    if (fit.fits) return;
+    if (lattice.usesVoxels) {
+        throw InputError("the lattice has the voxels as cells, and a particle is more than half a voxel from "
+                         "the centre of its own, or a voxel past +-(2^31 - 4096): use a lattice of cells");
+    }
+    throw CellMap(source, lattice, options.simd).rangeError(source, fit.coordinateError, std::nullopt);
+}
+
 void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options,
                      GridScratch& scratch, SparseGridData& grid)
 {
-    if (options.cellSize > 0) return sortIntoCells(view, radius, options.cellSize, options, scratch, grid);
-    if (takeOverLeaves(view, radius, options, grid)) return;
-    const bool mayBeWide = options.wideCells && options.hostMemoryBytes == 0;
-    const double chosen =
-        chooseCellSize(view.source(), radius, options.simd, mayBeWide, CancelCheck(options.progress, "grid"));
-    if (chosen < 1) {
-        try {
-            return sortIntoCells(view, radius, chosen, options, scratch, grid);
-        } catch (const InputError&) {
-            // Too many cells from end to end: with half as many it may do.
-        }
-    }
-    sortIntoCells(view, radius, std::max(chosen, 1.0), options, scratch, grid);
+    offerLattices(view.source(), radius, options,
+                  [&](const Lattice& lattice) { return sortOn(view, lattice, options, scratch, grid); });
+}
+
+bool shareLattice(const SparseGridData& a, const SparseGridData& b)
+{
+    return a.lattice == b.lattice && haveSameCoordinates(a.view.source(), b.view.source());
 }
 
 std::uint64_t SparseGridData::bytes() const
@@ -248,7 +280,8 @@ void SparseGridData::neighborhoodsInReach(std::size_t first, std::size_t end, Le
     std::uint32_t wanted[kAtOnce];
     for (std::size_t begin = first; begin < end; begin += kAtOnce) {
         const std::size_t count = std::min(kAtOnce, end - begin);
-        for (std::size_t k = 0; k < count; ++k) wanted[k] = leavesInReach(leaves[begin + k].occupancy, reach);
+        for (std::size_t k = 0; k < count; ++k)
+            wanted[k] = leavesInReach(leaves[begin + k].occupancy, reach());
         topology.neighborhoods({leafOrigins.data() + begin, count}, wanted, out + (begin - first));
     }
 }
@@ -265,17 +298,9 @@ SparseGrid::SparseGrid()
 
 SparseGrid::SparseGrid(std::shared_ptr<const SparseGridData> data) : mData(std::move(data)) {}
 
-double SparseGrid::radius() const
+const Lattice& SparseGrid::lattice() const
 {
-    return mData->radius;
-}
-int SparseGrid::reach() const
-{
-    return mData->reach;
-}
-double SparseGrid::cellSize() const
-{
-    return 1 / mData->cellsPerUnit;
+    return mData->lattice;
 }
 std::uint64_t SparseGrid::particleCount() const
 {

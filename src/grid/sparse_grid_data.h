@@ -1,9 +1,11 @@
-// What a SparseGrid holds. Plain arrays by slot, cell and leaf, and the tree. May know nothing of lists or devices.
+// What a SparseGrid holds: a lattice, and the particles of a view sorted on it. Plain arrays by slot, cell and leaf, and
+// the tree. Knows nothing of lists, devices, and the radius of a search.
 #pragma once
 
 #include "grid/topology.h"
 #include "shared/block_view.h"
 #include "util/memory.h"
+#include "vdb_nns/lattice.h"
 #include "vdb_nns/particle_view.h"
 #include "vdb_nns/sparse_grid.h"
 
@@ -14,10 +16,7 @@ namespace vdb_nns {
 
 struct SparseGridData {
     ParticleView view;
-    double radius = 0;       // world
-    int reach = 1;           // cells
-    double cellsPerUnit = 0; // 1 / cell edge; the edge is defined as its real reciprocal
-    double radiusCells = 0;  // radius * cellsPerUnit
+    Lattice lattice;
     double coordinateError =
         0; // bound, in cells, on computed minus true cell coordinates, before rounding to float
     std::uint64_t nonfiniteCount = 0;
@@ -34,6 +33,7 @@ struct SparseGridData {
     std::size_t leafCount() const { return leafOrigins.size(); }
     std::size_t particleCount() const { return number.size(); }
     std::uint64_t bytes() const;
+    int reach() const { return lattice.reach; }
 
     // Of the leaves [first, end), the leaves around that hold cells in reach of theirs; on sparse scenes few. Finds what a
     // search reads: a leaf that no cell reaches has no candidates.
@@ -58,8 +58,14 @@ struct GridNeed {
 };
 void checkGridCapacity(const SparseGridData& grid, const GridNeed& need, std::uint64_t hostMemoryBytes);
 
-// Sorts the particles of `view` into `grid`, whose memory is reused. Throws as SearchEngine::buildGrid().
+// Sorts the particles of `view` into `grid`, whose memory is reused: on a lattice, or on the one that suits them and a radius.
+// Throw as SearchEngine::buildGrid().
+void buildSparseGrid(const ParticleView& view, const Lattice& lattice, const SearchOptions& options,
+                     GridScratch& scratch, SparseGridData& grid);
 void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options,
                      GridScratch& scratch, SparseGridData& grid);
+
+// Whether the cells of one are those of the other: particles of both can be searched for each other.
+bool shareLattice(const SparseGridData& a, const SparseGridData& b);
 
 } // namespace vdb_nns

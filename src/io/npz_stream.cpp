@@ -315,6 +315,7 @@ public:
     {
         SearchOptions options = mOptions;
         options.progress = progress;
+        options.radius = mLists.radius();
         mEngine.visitRows(mLists.grid(), visit, options);
     }
 

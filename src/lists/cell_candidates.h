@@ -33,7 +33,7 @@ void forEachCandidateRun(const BlockView& block, const LeafNeighborhood& neighbo
 inline BlockView blockViewOf(const SparseGridData& grid)
 {
     return {grid.x.data(),      grid.y.data(),         grid.z.data(), grid.number.data(),
-            grid.leaves.data(), grid.cellStart.data(), grid.reach};
+            grid.leaves.data(), grid.cellStart.data(), grid.reach()};
 }
 
 // An occupied cell of a leaf: its slots, the particles of the cells in its reach, and where it stands in the occupancy.

@@ -234,6 +234,11 @@ const SparseGrid& NeighborLists::grid() const
     return mData->grid;
 }
 
+double NeighborLists::radius() const
+{
+    return mData->radius;
+}
+
 std::uint32_t NeighborLists::count(std::size_t i) const
 {
     const std::uint32_t slot = mData->slotOf[i];

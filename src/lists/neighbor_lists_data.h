@@ -18,7 +18,7 @@ constexpr std::uint32_t kNoSlot = 0xffffffffu; // a non-finite particle
 
 // Rows of membership bits, one after the other, of the slots from firstSlot to the next entry's. A row has one bit for
 // each candidate of the cells within reach: by cell (x, y, z) lexicographic, by number inside a cell, padded to 32-bit
-// words; the query's own bit is 0. Its length follows from the grid.
+// words; the query's own bit is 0. Its length follows from the grid, whatever the radius of the search.
 struct MaskRun {
     std::uint32_t firstSlot;
     const std::uint32_t* words;
@@ -27,6 +27,7 @@ struct MaskRun {
 struct NeighborListsData {
     ParticleView view;
     SparseGrid grid;
+    double radius = 0; // of the search, world units
     Encoding encoding = Encoding::kNone;
     ListStatistics statistics;
     std::uint64_t rowBytes = 0; // indices or masks

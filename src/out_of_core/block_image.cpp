@@ -80,7 +80,7 @@ public:
                        there<std::uint32_t>(mLayout.number),
                        there<LeafRecord>(mLayout.leaves),
                        there<std::uint32_t>(mLayout.cellStart),
-                       mGrid.reach};
+                       mGrid.reach()};
         image.leaves = static_cast<std::uint32_t>(mSize.ownLeaves);
         image.firstQuery = mPart.firstSlot - first.firstSlot;
         image.endQuery = mPart.endSlot - first.firstSlot;

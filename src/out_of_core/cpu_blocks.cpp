@@ -29,7 +29,7 @@ void CpuBlocks::start(const PendingBlock& block)
         first, pieces.end(), [&](const Piece& piece) { return piece.firstSlot < block.part.endSlot; });
     const auto end = static_cast<std::size_t>(last - pieces.begin());
     const auto part = std::make_shared<const BlockPart>(block.part);
-    const double each = testsPerQuery(block, wantedQueries(mRun.grid, block.part));
+    const double each = testsPerQuery(block, wantedQueries(mRun.queries, block.part));
     for (auto p = static_cast<std::size_t>(first - pieces.begin()); p < end; p += kPiecesOfJob) {
         mJobs.add([this, number = block.block, p, stop = std::min(p + kPiecesOfJob, end), part, each] {
             timeJob(each, [&] { return runPieces(number, p, stop, *part); });
@@ -40,7 +40,7 @@ void CpuBlocks::start(const PendingBlock& block)
 void CpuBlocks::stage(PendingBlock& block)
 {
     if (block.isStaged) return;
-    makeHalo(mRun.grid, block);
+    makeHalo(mRun.queries, block);
     const double each = testsPerQuery(block, block.queries());
     for (const CellSet& set : block.part.without) {
         mJobs.add([this, number = block.block, set, first = block.part.firstSlot, end = block.part.endSlot,
@@ -67,11 +67,11 @@ std::uint64_t CpuBlocks::runPieces(std::size_t block, std::size_t first, std::si
         mRun.cancel.check();
         const Piece& piece = mRun.pieces[p];
         LeafNeighborhood neighborhood;
-        mRun.grid.neighborhoodsInReach(piece.leaf, piece.leaf + 1, &neighborhood);
+        mRun.queries.neighborhoodsInReach(piece.leaf, piece.leaf + 1, &neighborhood);
         std::uint64_t cells[8];
         queries += runTask(block, {piece.leaf, std::max(piece.firstSlot, part.firstSlot),
                                    std::min(piece.endSlot, part.endSlot), neighborhood.leaf,
-                                   wantedCells(mRun.grid, part, piece.leaf, cells)});
+                                   wantedCells(mRun.queries, part, piece.leaf, cells)});
     }
     mTargets.progress.show();
     return queries;
@@ -80,7 +80,7 @@ std::uint64_t CpuBlocks::runPieces(std::size_t block, std::size_t first, std::si
 std::uint64_t CpuBlocks::runBoundaryLeaf(std::size_t block, const CellSet& set, std::uint32_t firstSlot,
                                          std::uint32_t endSlot)
 {
-    const SparseGridData& grid = mRun.grid;
+    const SparseGridData& grid = mRun.queries;
     mRun.cancel.check();
     LeafNeighborhood neighborhood;
     grid.topology.neighborhoods({&grid.leafOrigins[set.leaf], 1}, &neighborhood);

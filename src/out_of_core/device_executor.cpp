@@ -96,7 +96,7 @@ std::unique_ptr<BlockInFlight> DeviceExecutor::awaitOldest()
 // A schedule of another grid may say less than its blocks take; nothing is written then.
 void DeviceExecutor::requireRoom(const PendingBlock& block) const
 {
-    const std::uint64_t needed = leastBytes(mContext.run.grid, block.part, mContext.model.encoding);
+    const std::uint64_t needed = leastBytes(mContext.run.queries, block.part, mContext.model.encoding);
     if (needed <= mBufferBytes) return;
     throw InvalidInput("block " + std::to_string(block.block) + " needs " + std::to_string(needed) +
                        " bytes and more, and the schedule has " + std::to_string(mBufferBytes) +
@@ -117,7 +117,7 @@ void DeviceExecutor::transfer(BlockInFlight& inFlight) const
             encoding == Encoding::kNone ||
             (encoding == Encoding::kMask && mContext.model.masksAreExact && part.without.empty());
         inFlight.transferred =
-            transferBlock(*mDevice, mBuffers[inFlight.buffer], run.grid, part,
+            transferBlock(*mDevice, mBuffers[inFlight.buffer], run.queries, part,
                           {run.context.bounds, encoding, isKnown ? inFlight.block.item.bytes.down : 0});
         const TransferredBlock& transferred = inFlight.transferred;
         if (transferred.overflowed) {

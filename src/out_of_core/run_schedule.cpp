@@ -87,8 +87,8 @@ public:
           mSchedule(schedule),
           mOptions(options),
           mReport(report),
-          mCollector(run.grid, run.exact, run.cancel, schedule.model.encoding, lists, pool),
-          mProgress(run.cancel, run.grid.particleCount(), schedule.blocks.size()),
+          mCollector(run.queries, run.exact, run.cancel, schedule.model.encoding, lists, pool),
+          mProgress(run.cancel, run.queries.particleCount(), schedule.blocks.size()),
           mCpu(run, {engine, lists, pool, mProgress}, mJobs)
     {
     }
@@ -135,7 +135,7 @@ void ScheduleRunner::execute(const std::vector<DeviceLimits>& devices, const Dev
 {
     mReport = {};
     mReport.devices.resize(devices.size());
-    mBlocks = pendingBlocksOf(mRun.grid, mSchedule);
+    mBlocks = pendingBlocksOf(mRun.queries, mSchedule);
     if (mSchedule.devices.size() != devices.size()) {
         throw InvalidInput("a schedule for " + std::to_string(mSchedule.devices.size()) +
                            " devices cannot be run on " + std::to_string(devices.size()));
@@ -265,14 +265,14 @@ void ScheduleRunner::again(PendingBlock block)
 // TBB workers run what fits no device.
 void ScheduleRunner::giveUp(const PendingBlock& block)
 {
-    mReport.tooLargeQueries += wantedQueries(mRun.grid, block.part);
+    mReport.tooLargeQueries += wantedQueries(mRun.queries, block.part);
     mDispatcher->addCpuTests(block.item.tests);
     startOnCpu(block);
 }
 
 void ScheduleRunner::split(const PendingBlock& whole, const KnownCounts& counts)
 {
-    BlockSplit made = splitBlock(mRun.grid, mSchedule.model, whole, counts, mDispatcher->mostBytes());
+    BlockSplit made = splitBlock(mRun.queries, mSchedule.model, whole, counts, mDispatcher->mostBytes());
     if (counts.count) {
         mReport.retries += made.parts.size() + made.tooLarge.size();
     } else if (whole.queries() > Block::kFewestQueries) {
@@ -329,8 +329,8 @@ void ScheduleRunner::settleOldest(std::size_t device)
     PendingBlock& block = inFlight->block;
     block.leaveOutside();
     if (!inFlight->failure.empty()) return settleFailed(device, *inFlight);
-    mFeedback = mFeedback +
-                feedbackOf(mRun.grid, mSchedule.model, block, inFlight->pairs(), inFlight->transferred.head);
+    mFeedback = mFeedback + feedbackOf(mRun.queries, mSchedule.model, block, inFlight->pairs(),
+                                       inFlight->transferred.head);
     mDispatcher->correct(correctionOf(mFeedback, mSchedule.model));
     if (!mDevices[device].isSimulated()) measure(device, *inFlight);
     if (inFlight->transferred.overflowed) {
@@ -419,8 +419,9 @@ NeighborLists runSchedule(EngineState& engine, const SparseGrid& grid, const Sch
                           const std::vector<DeviceLimits>& devices, const RunOptions& options,
                           ScheduleRun& report, const DeviceMaker& makeDevice)
 {
-    const std::shared_ptr<NeighborListsData> result = engine.beginLists(grid, schedule.model.encoding);
-    const SearchRun run(grid.data(), options.search);
+    const SearchRun run(grid.data(), grid.data(), options.search);
+    const std::shared_ptr<NeighborListsData> result =
+        engine.beginLists(grid, run.radius, schedule.model.encoding);
     engine.beginStatistics(options.search);
     ChunkPool pool(std::move(result->chunks));
     const std::uint64_t allowed =

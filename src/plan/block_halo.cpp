@@ -106,13 +106,13 @@ BlockHalo haloOf(const SparseGridData& grid, std::uint32_t firstLeaf, std::uint3
             const std::uint64_t* const outside = grid.leaves[other].occupancy;
             const int dx = n / 9 - 1, dy = n / 3 % 3 - 1, dz = n % 3 - 1;
             CellSet halo{other, {}};
-            cellsInReach(own, dx, dy, dz, grid.reach, halo.cells);
+            cellsInReach(own, dx, dy, dz, grid.reach(), halo.cells);
             std::uint64_t touched = 0;
             for (int x = 0; x < 8; ++x) touched |= halo.cells[x] &= outside[x];
             if (!touched) continue;
             result.halo.push_back(halo);
             std::uint64_t back[8];
-            cellsInReach(outside, -dx, -dy, -dz, grid.reach, back);
+            cellsInReach(outside, -dx, -dy, -dz, grid.reach(), back);
             for (int x = 0; x < 8; ++x) any |= boundary.cells[x] |= back[x] & own[x];
         }
         if (any) result.boundary.push_back(boundary);

@@ -1,5 +1,6 @@
 #include "plan/occupancy_sample.h"
 
+#include "grid/lattice.h"
 #include "lists/cell_candidates.h"
 
 #include <tbb/blocked_range.h>
@@ -16,11 +17,9 @@ namespace {
 
 constexpr std::size_t kProbes = 32;
 
-Work workOf(const SparseGridData& grid, std::uint32_t leaf)
+// `share`: of the particles of the cells in reach, those that are neighbors.
+Work workOf(const SparseGridData& grid, double share, std::uint32_t leaf)
 {
-    // Of the particles of the cells in reach, the share of the volume of those cells that the ball takes.
-    constexpr double kBall = 4.18879020478639098;
-    const double share = kBall * std::pow(grid.radiusCells / (2 * grid.reach + 1), 3);
     LeafNeighborhood neighborhood;
     grid.topology.neighborhoods({&grid.leafOrigins[leaf], 1}, &neighborhood);
     Work work;
@@ -34,8 +33,11 @@ Work workOf(const SparseGridData& grid, std::uint32_t leaf)
 
 } // namespace
 
-void probeWork(const SparseGridData& grid, WorkEstimate& estimate)
+void probeWork(const SparseGridData& grid, double radius, WorkEstimate& estimate)
 {
+    // As of the volume of those cells.
+    constexpr double kBall = 4.18879020478639098;
+    const double share = kBall * std::pow(radiusInCells(grid.lattice, radius) / (2 * grid.reach() + 1), 3);
     const std::size_t particles = grid.particleCount(), count = std::min(particles, kProbes);
     std::vector<Work> probes(count);
     tbb::parallel_for(std::size_t(0), count, [&](std::size_t k) {
@@ -43,7 +45,7 @@ void probeWork(const SparseGridData& grid, WorkEstimate& estimate)
         const auto next =
             std::upper_bound(grid.leaves.begin(), grid.leaves.end(), slot,
                              [](std::uint32_t s, const LeafRecord& leaf) { return s < leaf.firstSlot; });
-        probes[k] = workOf(grid, static_cast<std::uint32_t>(next - grid.leaves.begin() - 1));
+        probes[k] = workOf(grid, share, static_cast<std::uint32_t>(next - grid.leaves.begin() - 1));
     });
     const auto mean = [&](auto&& value) {
         double sum = 0;

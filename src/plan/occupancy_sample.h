@@ -8,6 +8,6 @@ namespace vdb_nns {
 
 // Every leaf the same work per particle: the mean of some leaves, drawn with their particles as weights. Its leaves' tests and
 // masks are exact, their pairs those of particles spread evenly over the cells in reach.
-void probeWork(const SparseGridData& grid, WorkEstimate& estimate);
+void probeWork(const SparseGridData& grid, double radius, WorkEstimate& estimate);
 
 } // namespace vdb_nns

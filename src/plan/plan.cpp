@@ -61,6 +61,7 @@ WorkEstimate estimateFor(const SparseGrid& grid, const DeviceOptions& options, E
     if (detail == PlanDetail::kAsNeeded && mayBeOne && options.estimate.estimator == Estimator::kExpected) {
         EstimateOptions rough;
         rough.estimator = Estimator::kProbed;
+        rough.radius = options.estimate.radius;
         const WorkEstimate probed = estimateWork(grid, rough);
         const BlockBytes needed = bytesAtOnce(grid, probed, memoryModel(options, encoding, probed));
         if (needed.total() <= options.devices[0].memoryBytes) return probed;

@@ -74,6 +74,7 @@ public:
         mReport.settled = options;
         // Masks are sent over the link.
         mReport.settled.search.wideCells &= options.device.devices.empty();
+        mReport.settled.device.estimate.radius = options.search.radius;
     }
 
     NeighborLists run(const ParticleView& view, double radius)

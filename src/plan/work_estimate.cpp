@@ -12,6 +12,7 @@
 #include "cpu/kernels.h"
 #include "cpu/leaves_in_reach-inl.h"
 #include "cpu/search_task.h"
+#include "grid/lattice.h"
 #include "grid/sparse_grid_data.h"
 #include "lists/cell_candidates.h"
 #include "plan/occupancy_sample.h"
@@ -146,7 +147,7 @@ class Model {
 public:
     Model(const SparseGridData& grid, const OverlapTable& overlap) : mGrid(grid), mBlock(blockViewOf(grid))
     {
-        const int reach = grid.reach;
+        const int reach = grid.reach();
         for (int x = -reach; x <= reach; ++x) {
             for (int y = -reach; y <= reach; ++y) {
                 for (int z = -reach; z <= reach; ++z) {
@@ -233,13 +234,14 @@ double shrunk(const Ratio& own, double parent)
 }
 
 // What each sample was counted to have: the mean of its queries. Adds the queries to `countedQueries`.
-std::vector<double> countSamples(const SparseGridData& grid, const std::vector<Sample>& samples,
-                                 const CancelCheck& cancel, std::uint64_t& countedQueries)
+std::vector<double> countSamples(const SparseGridData& grid, double radius,
+                                 const std::vector<Sample>& samples, const CancelCheck& cancel,
+                                 std::uint64_t& countedQueries)
 {
     std::vector<QueryRange> ranges;
     ranges.reserve(samples.size());
     for (const Sample& sample : samples) ranges.push_back(sample.queries);
-    const std::vector<std::uint32_t> counts = countQueries(grid, ranges, cancel);
+    const std::vector<std::uint32_t> counts = countQueries(grid, radius, ranges, cancel);
     countedQueries += counts.size();
     std::vector<double> means;
     means.reserve(samples.size());
@@ -257,7 +259,8 @@ std::vector<double> countSamples(const SparseGridData& grid, const std::vector<S
 void correctParts(const SparseGridData& grid, const std::vector<std::size_t>& parts,
                   const std::vector<Sample>& samples, const CancelCheck& cancel, WorkEstimate& estimate)
 {
-    const std::vector<double> counted = countSamples(grid, samples, cancel, estimate.countedQueries);
+    const std::vector<double> counted =
+        countSamples(grid, estimate.radius, samples, cancel, estimate.countedQueries);
     const std::size_t partCount = parts.size() - 1;
     std::vector<Ratio> own(partCount);
     Ratio all;
@@ -293,16 +296,18 @@ void correctParts(const SparseGridData& grid, const std::vector<std::size_t>& pa
 
 OverlapTable overlapOf(const SparseGridData& grid, const EstimateOptions& options, const CancelCheck& cancel)
 {
+    const double radiusCells = radiusInCells(grid.lattice, searchRadius(grid.lattice, options.radius));
     return options.estimator == Estimator::kMonteCarlo
-               ? OverlapTable::byMonteCarlo(grid.radiusCells, grid.reach, options.monteCarloSamples,
+               ? OverlapTable::byMonteCarlo(radiusCells, grid.reach(), options.monteCarloSamples,
                                             options.seed, cancel)
-               : OverlapTable::byQuadrature(grid.radiusCells, grid.reach);
+               : OverlapTable::byQuadrature(radiusCells, grid.reach());
 }
 
 void countAll(const SparseGrid& grid, Progress* progress, WorkEstimate& estimate)
 {
     SearchOptions options;
     options.encoding = Encoding::kNone;
+    options.radius = estimate.radius;
     options.progress = progress;
     const std::vector<std::uint32_t> counts = SearchEngine().search(grid, options).counts();
     const Span<const std::uint32_t> numbers = grid.particleNumbers();
@@ -323,6 +328,7 @@ WorkEstimate estimateLeaves(const SparseGrid& sparseGrid, const EstimateOptions&
     const CancelCheck cancel(options.progress, "estimate");
     WorkEstimate estimate;
     estimate.estimator = options.estimator;
+    estimate.radius = searchRadius(grid.lattice, options.radius);
     estimate.leaves.resize(grid.leafCount());
     if (grid.particleCount() == 0) return estimate;
     const auto finish = [&] {
@@ -331,7 +337,7 @@ WorkEstimate estimateLeaves(const SparseGrid& sparseGrid, const EstimateOptions&
         return std::move(estimate);
     };
     if (options.estimator == Estimator::kProbed) {
-        probeWork(grid, estimate);
+        probeWork(grid, estimate.radius, estimate);
         return finish();
     }
 

@@ -4,6 +4,7 @@
 #include "cpu/leaves_in_reach-inl.h"
 #include "cpu/search_task.h"
 #include "exact/exact_test.h"
+#include "grid/lattice.h"
 #include "lists/cell_candidates.h"
 #include "search/leaf_tasks.h"
 #include "search/thread_state.h"
@@ -39,12 +40,13 @@ void markCell(const SparseGridData& grid, std::uint32_t leaf, std::uint32_t slot
 // What the tasks of a count share.
 class Counter {
 public:
-    Counter(const SparseGridData& grid, const CancelCheck& cancel)
+    Counter(const SparseGridData& grid, double radius, const CancelCheck& cancel)
         : mGrid(grid),
           mCancel(cancel),
-          mContext{blockViewOf(grid), makeFilterBounds(grid.radiusCells, grid.reach, grid.coordinateError),
+          mContext{blockViewOf(grid),
+                   makeFilterBounds(radiusInCells(grid.lattice, radius), grid.reach(), grid.coordinateError),
                    pollOf(cancel)},
-          mExact(grid.view, grid.radius),
+          mExact(grid.view, radius),
           mCount(kernelsFor(SimdLevel::kBest).count)
     {
     }
@@ -57,7 +59,7 @@ public:
         std::uint64_t cells[8];
         markCell(mGrid, range.leaf, range.firstSlot, cells);
         LeafNeighborhood neighborhood;
-        const std::uint32_t reached = leavesInReach(cells, mGrid.reach);
+        const std::uint32_t reached = leavesInReach(cells, mGrid.reach());
         if (reached != kOwnLeafAlone)
             mGrid.topology.neighborhoods({&mGrid.leafOrigins[range.leaf], 1}, &neighborhood);
         for (std::uint32_t n = 0; n < 27; ++n) {
@@ -81,13 +83,13 @@ private:
 
 } // namespace
 
-std::vector<std::uint32_t> countQueries(const SparseGridData& grid, const std::vector<QueryRange>& ranges,
-                                        const CancelCheck& cancel)
+std::vector<std::uint32_t> countQueries(const SparseGridData& grid, double radius,
+                                        const std::vector<QueryRange>& ranges, const CancelCheck& cancel)
 {
     std::vector<std::size_t> begin(1, 0);
     for (const QueryRange& range : ranges) begin.push_back(begin.back() + range.endSlot - range.firstSlot);
     std::vector<std::uint32_t> counts(begin.back());
-    Counter counter(grid, cancel);
+    Counter counter(grid, radius, cancel);
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, ranges.size(), 64), [&](const auto& part) {
         for (std::size_t r = part.begin(); r < part.end(); ++r)
             counter.count(ranges[r], counts.data() + begin[r]);

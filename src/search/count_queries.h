@@ -15,8 +15,9 @@ struct QueryRange {
 };
 
 // Numbers of neighbors of the queries of each range, range after range, in parallel. Each range by itself: the first of its
-// queries costs several times what a query of a whole search does, the others no more than that. Throws Cancelled.
-std::vector<std::uint32_t> countQueries(const SparseGridData& grid, const std::vector<QueryRange>& ranges,
-                                        const CancelCheck& cancel);
+// queries costs several times what a query of a whole search does, the others no more than that.
+// `radius` is at most the lattice's. Throws Cancelled.
+std::vector<std::uint32_t> countQueries(const SparseGridData& grid, double radius,
+                                        const std::vector<QueryRange>& ranges, const CancelCheck& cancel);
 
 } // namespace vdb_nns

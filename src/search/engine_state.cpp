@@ -1,5 +1,6 @@
 #include "search/engine_state.h"
 
+#include "grid/lattice.h"
 #include "lists/cell_candidates.h"
 #include "util/known_value.h"
 #include "util/sole_owner.h"
@@ -25,10 +26,22 @@ std::string gigabytes(std::uint64_t bytes)
     return text;
 }
 
+// Both are on it.
+const Lattice& sharedLattice(const SparseGridData& queries, const SparseGridData& candidates)
+{
+    if (!shareLattice(queries, candidates)) {
+        throw InvalidInput(
+            "queries and candidates are sorted on different lattices, or their stored positions "
+            "mean different places: build both grids on one lattice");
+    }
+    return queries.lattice;
+}
+
 } // namespace
 
 void checkOptions(const SearchOptions& options)
 {
+    if (options.radius != 0) checkRadius(options.radius);
     requireKnown(options.encoding, Encoding::kNone, "encoding");
     requireKnown(options.nonfinite, NonFinite::kFail, "treatment of non-finite particles");
     requireKnown(options.simd, SimdLevel::kBest, "instruction set");
@@ -54,13 +67,19 @@ CapacityError listsDoNotFit(Encoding encoding, bool counted, std::uint64_t neede
         needed, allowed);
 }
 
-SearchRun::SearchRun(const SparseGridData& g, const SearchOptions& options)
-    : grid(g),
-      context{blockViewOf(g), makeFilterBounds(g.radiusCells, g.reach, g.coordinateError), pollOf(cancel)},
-      exact(g.view, g.radius),
+SearchRun::SearchRun(const SparseGridData& queriesOfRun, const SparseGridData& candidatesOfRun,
+                     const SearchOptions& options)
+    : queries(queriesOfRun),
+      candidates(candidatesOfRun),
+      radius(searchRadius(sharedLattice(queries, candidates), options.radius)),
+      context{blockViewOf(candidates),
+              makeFilterBounds(radiusInCells(candidates.lattice, radius), candidates.reach(),
+                               std::max(queries.coordinateError, candidates.coordinateError)),
+              pollOf(cancel)},
+      exact(candidates.view, radius),
       kernels(kernelsFor(options.simd)),
       cancel(options.progress, "search"),
-      pieces(makePieces(g))
+      pieces(makePieces(queries))
 {
 }
 
@@ -106,7 +125,7 @@ void EngineState::checkCapacity(const SearchRun& run, Encoding encoding, std::ui
     constexpr std::uint64_t kMostBytes = std::numeric_limits<std::uint64_t>::max();
     constexpr std::uint64_t kCountedBytes =
         160'000'000'000; // 4e10 pairs: some seconds of counting on two cores
-    const std::size_t particles = run.grid.particleCount();
+    const std::size_t particles = run.queries.particleCount();
     if (particles == 0) return;
     const auto bytesOf = [&](ThreadState& state, const SearchTask& task) -> std::uint64_t {
         if (encoding == Encoding::kMask) return maskBytes(run.context.block, task);
@@ -128,7 +147,7 @@ void EngineState::checkCapacity(const SearchRun& run, Encoding encoding, std::ui
     for (const Piece& probe : probes) {
         run.cancel.check();
         LeafNeighborhood neighborhood;
-        run.grid.topology.neighborhoods({&run.grid.leafOrigins[probe.leaf], 1}, &neighborhood);
+        run.candidates.topology.neighborhoods({&run.queries.leafOrigins[probe.leaf], 1}, &neighborhood);
         expected += static_cast<double>(
             bytesOf(here, {probe.leaf, probe.firstSlot, probe.endSlot, neighborhood.leaf}));
     }
@@ -137,14 +156,15 @@ void EngineState::checkCapacity(const SearchRun& run, Encoding encoding, std::ui
     if (expected < 0.5 * static_cast<double>(allowed)) return;
     std::atomic<std::uint64_t> total{0};
     const std::uint64_t enough = std::max(kCountedBytes, std::min(allowed, kMostBytes / 4) * 4);
-    forEachTask(run.grid, run.pieces, states, run.cancel, [&](ThreadState& state, const SearchTask& task) {
+    forEachTask(run.queries, run.pieces, states, run.cancel, [&](ThreadState& state, const SearchTask& task) {
         if (total <= enough) total += bytesOf(state, task);
     });
     for (ThreadState& state : states) state.begin();
     if (total > allowed) throw listsDoNotFit(encoding, total <= enough, total, allowed);
 }
 
-std::shared_ptr<NeighborListsData> EngineState::beginLists(const SparseGrid& sparseGrid, Encoding encoding)
+std::shared_ptr<NeighborListsData> EngineState::beginLists(const SparseGrid& sparseGrid, double radius,
+                                                           Encoding encoding)
 {
     std::shared_ptr<NeighborListsData> result = std::make_shared<NeighborListsData>();
     if (isSoleOwner(lists)) {
@@ -156,6 +176,7 @@ std::shared_ptr<NeighborListsData> EngineState::beginLists(const SparseGrid& spa
     lists.reset();
     result->view = sparseGrid.view();
     result->grid = sparseGrid;
+    result->radius = radius;
     result->encoding = encoding;
     return result;
 }
@@ -163,10 +184,11 @@ std::shared_ptr<NeighborListsData> EngineState::beginLists(const SparseGrid& spa
 std::uint64_t EngineState::allowRows(const SearchRun& run, const SearchOptions& options,
                                      std::uint64_t otherBytes, NeighborListsData& result, ChunkPool& pool)
 {
-    const std::size_t particles = run.grid.particleCount();
+    const std::size_t particles = run.queries.particleCount();
     result.rowCount.resizeDiscarding(particles);
     if (result.encoding == Encoding::kIndex) result.rowBegin.resizeDiscarding(particles);
-    const std::uint64_t held = run.grid.bytes() + result.rowCount.usedBytes() + result.rowBegin.usedBytes();
+    const std::uint64_t held =
+        run.queries.bytes() + result.rowCount.usedBytes() + result.rowBegin.usedBytes();
     std::uint64_t free = options.hostMemoryBytes
                              ? options.hostMemoryBytes - std::min(held, options.hostMemoryBytes)
                              : availableMemoryBytes() + pool.freeBytes();
@@ -204,7 +226,7 @@ void EngineState::finishLists(const SearchRun& run, ChunkPool& pool, NeighborLis
 {
     for (ThreadState& state : states) state.finishRows();
     result.chunks = pool.release();
-    const std::size_t particles = run.grid.particleCount(), all = result.view.size();
+    const std::size_t particles = run.queries.particleCount(), all = result.view.size();
     const TaskStatistics sum = sumStatistics();
     result.maskRuns.clear();
     for (const ThreadState& state : states) {
@@ -226,7 +248,7 @@ void EngineState::finishLists(const SearchRun& run, ChunkPool& pool, NeighborLis
                 s.min = std::min(s.min, count);
                 s.max = std::max(s.max, count);
                 s.isolated += count == 0;
-                result.slotOf[run.grid.number[slot]] = static_cast<std::uint32_t>(slot);
+                result.slotOf[run.queries.number[slot]] = static_cast<std::uint32_t>(slot);
             }
             return s;
         },

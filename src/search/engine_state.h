@@ -21,16 +21,20 @@
 
 namespace vdb_nns {
 
-// One search: what all its tasks share.
+// One search: what all its tasks share. The particles whose neighbors are wanted, and those among which they are
+// looked for, are two sets of points on one lattice.
 struct SearchRun {
-    const SparseGridData& grid;
+    const SparseGridData& queries;
+    const SparseGridData& candidates;
+    const double radius; // world units, at most the lattice's
     SearchContext context;
     ExactTest exact;
     const Kernels& kernels;
     CancelCheck cancel;
     std::vector<Piece> pieces;
 
-    SearchRun(const SparseGridData& grid, const SearchOptions& options);
+    // Throws InvalidInput for sets that share no lattice, and for a radius above the lattice's.
+    SearchRun(const SparseGridData& queries, const SparseGridData& candidates, const SearchOptions& options);
     SearchRun(const SearchRun&) = delete; // the context points into it
     SearchRun& operator=(const SearchRun&) = delete;
 
@@ -62,8 +66,8 @@ struct EngineState {
     TaskStatistics sumStatistics();
     void runTask(const SearchRun& run, SearchTaskFunction kernel, ThreadState& state, const SearchTask& task);
 
-    // Empty lists of a grid, in the memory of the last ones where nobody else reads those.
-    std::shared_ptr<NeighborListsData> beginLists(const SparseGrid& grid, Encoding encoding);
+    // Empty lists of a grid and a radius, in the memory of the last ones where nobody else reads those.
+    std::shared_ptr<NeighborListsData> beginLists(const SparseGrid& grid, double radius, Encoding encoding);
     // Makes the arrays by slot, and hands what lists may use beside `otherBytes` of the run to `pool`. Returns those bytes; 0
     // without lists. Throws CapacityError.
     std::uint64_t allowRows(const SearchRun& run, const SearchOptions& options, std::uint64_t otherBytes,

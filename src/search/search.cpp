@@ -1,6 +1,8 @@
 // The search on the CPU: every task of the grid on the caller's TBB arena. And the engine, which keeps memory between runs.
 #include "vdb_nns/search.h"
 
+#include "grid/lattice.h"
+#include "grid/lattice_choice.h"
 #include "search/engine_state.h"
 #include "util/isolate.h"
 #include "util/known_value.h"
@@ -9,7 +11,6 @@
 #include "vdb_nns/error.h"
 
 #include <atomic>
-#include <cmath>
 #include <string>
 
 namespace vdb_nns {
@@ -29,23 +30,46 @@ const SearchStatistics& SearchEngine::statistics() const
     return mImpl->statistics;
 }
 
-SparseGrid SearchEngine::buildGrid(const ParticleView& view, double radius, const SearchOptions& options)
+namespace {
+
+// On a lattice, or on the one that suits a radius.
+template <typename LatticeOrRadius>
+SparseGrid makeGrid(EngineState& engine, const ParticleView& view, const LatticeOrRadius& where,
+                    const SearchOptions& options)
 {
-    if (!(radius > 0) || std::isinf(radius)) {
-        throw InvalidInput("radius " + std::to_string(radius) + " is not a positive finite number");
-    }
     checkOptions(options);
     return isolated([&] {
         const double start = wallSeconds();
         // The last lists hold the last grid; when nobody else reads them they let go of it.
-        if (isSoleOwner(mImpl->lists)) mImpl->lists->grid = SparseGrid();
-        if (!isSoleOwner(mImpl->grid)) mImpl->grid = std::make_shared<SparseGridData>();
-        buildSparseGrid(view, radius, options, mImpl->scratch, *mImpl->grid);
+        if (isSoleOwner(engine.lists)) engine.lists->grid = SparseGrid();
+        if (!isSoleOwner(engine.grid)) engine.grid = std::make_shared<SparseGridData>();
+        buildSparseGrid(view, where, options, engine.scratch, *engine.grid);
         // Under a bound the memory of the sort is better spent on lists.
-        if (options.hostMemoryBytes) mImpl->scratch = GridScratch();
-        mImpl->statistics.gridSeconds = wallSeconds() - start;
-        return SparseGrid(mImpl->grid);
+        if (options.hostMemoryBytes) engine.scratch = GridScratch();
+        engine.statistics.gridSeconds = wallSeconds() - start;
+        return SparseGrid(engine.grid);
     });
+}
+
+} // namespace
+
+SparseGrid SearchEngine::buildGrid(const ParticleView& view, double radius, const SearchOptions& options)
+{
+    checkRadius(radius);
+    return makeGrid(*mImpl, view, radius, options);
+}
+
+SparseGrid SearchEngine::buildGrid(const ParticleView& view, const Lattice& lattice,
+                                   const SearchOptions& options)
+{
+    return makeGrid(*mImpl, view, lattice, options);
+}
+
+Lattice chooseLattice(const ParticleView& view, double radius, const SearchOptions& options)
+{
+    checkRadius(radius);
+    checkOptions(options);
+    return isolated([&] { return findLattice(view.source(), radius, options); });
 }
 
 NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& options)
@@ -53,13 +77,14 @@ NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& 
     checkOptions(options);
     return isolated([&] {
         const double start = wallSeconds();
-        const std::shared_ptr<NeighborListsData> result = mImpl->beginLists(grid, options.encoding);
-        const SearchRun run(grid.data(), options);
+        const SearchRun run(grid.data(), grid.data(), options);
+        const std::shared_ptr<NeighborListsData> result =
+            mImpl->beginLists(grid, run.radius, options.encoding);
         mImpl->beginStatistics(options);
         ChunkPool pool(std::move(result->chunks));
         const std::uint64_t allowed = mImpl->allowRows(run, options, 0, *result, pool);
         try {
-            forEachTask(run.grid, run.pieces, mImpl->states, run.cancel,
+            forEachTask(run.queries, run.pieces, mImpl->states, run.cancel,
                         [&](ThreadState& state, const SearchTask& task) {
                             mImpl->makeRows(run, task, state, pool, *result);
                         });
@@ -79,18 +104,22 @@ namespace {
 class DistanceConsumer final : public RowConsumer {
 public:
     DistanceConsumer(const SearchRun& run, const NeighborVisitor& visitor, std::vector<double>& distances)
-        : mGrid(run.grid), mCancel(run.cancel), mVisitor(visitor), mDistances(distances)
+        : mQueries(run.queries),
+          mView(run.candidates.view),
+          mCancel(run.cancel),
+          mVisitor(visitor),
+          mDistances(distances)
     {
     }
 
     void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) override
     {
-        const std::uint32_t query = mGrid.number[slot];
+        const std::uint32_t query = mQueries.number[slot];
         if (count >= kDistancesBetweenChecks) mCancel.check();
         mDistances.resize(std::max<std::size_t>(mDistances.size(), count));
         for (std::uint32_t k = 0; k < count; ++k) {
             if ((k + 1) % kDistancesBetweenChecks == 0) mCancel.check();
-            mDistances[k] = mGrid.view.distance(query, neighbors[k]);
+            mDistances[k] = mView.distance(query, neighbors[k]);
         }
         mVisitor(query, {neighbors, count}, {mDistances.data(), count});
     }
@@ -98,7 +127,8 @@ public:
 private:
     static constexpr std::uint32_t kDistancesBetweenChecks = 1u << 18;
 
-    const SparseGridData& mGrid;
+    const SparseGridData& mQueries;
+    const ParticleView& mView;
     const CancelCheck& mCancel;
     const NeighborVisitor& mVisitor;
     std::vector<double>& mDistances;
@@ -106,15 +136,18 @@ private:
 
 class NumberConsumer final : public RowConsumer {
 public:
-    NumberConsumer(const SparseGridData& grid, const RowVisitor& visitor) : mGrid(grid), mVisitor(visitor) {}
+    NumberConsumer(const SparseGridData& queries, const RowVisitor& visitor)
+        : mQueries(queries), mVisitor(visitor)
+    {
+    }
 
     void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) override
     {
-        mVisitor(mGrid.number[slot], {neighbors, count});
+        mVisitor(mQueries.number[slot], {neighbors, count});
     }
 
 private:
-    const SparseGridData& mGrid;
+    const SparseGridData& mQueries;
     const RowVisitor& mVisitor;
 };
 
@@ -126,9 +159,9 @@ void visitTasks(EngineState& engine, const SparseGrid& grid, const SearchOptions
     checkOptions(options);
     isolated([&] {
         const double start = wallSeconds();
-        const SearchRun run(grid.data(), options);
+        const SearchRun run(grid.data(), grid.data(), options);
         engine.beginStatistics(options);
-        forEachTask(run.grid, run.pieces, engine.states, run.cancel,
+        forEachTask(run.queries, run.pieces, engine.states, run.cancel,
                     [&](ThreadState& state, const SearchTask& task) {
                         auto consumer = makeConsumer(run, state);
                         state.beginConsuming(consumer, task);
@@ -157,7 +190,7 @@ void SearchEngine::visit(const SparseGrid& grid, const NeighborVisitor& visitor,
 void SearchEngine::visitRows(const SparseGrid& grid, const RowVisitor& visitor, const SearchOptions& options)
 {
     visitTasks(*mImpl, grid, options,
-               [&](const SearchRun& run, ThreadState&) { return NumberConsumer(run.grid, visitor); });
+               [&](const SearchRun& run, ThreadState&) { return NumberConsumer(run.queries, visitor); });
 }
 
 std::uint64_t countCandidateTests(const SparseGrid& grid)

@@ -242,6 +242,27 @@ TEST_P(CudaSearch, MappedMemoryGivesTheSameLists)
     }
 }
 
+TEST_P(CudaSearch, ASmallerRadiusThanTheLatticesGivesItsLists)
+{
+    const SceneGrid scene("clusters", 3000 * scale());
+    const EstimatedGrid problem(scene.grid);
+    for (const double share : {0.7, 0.1}) {
+        RunOptions run;
+        run.search.radius = share * scene.grid.radius();
+        run.schedule.useCpu = false;
+        for (const Encoding encoding : kEncodings) {
+            SCOPED_TRACE(nameOf(encoding));
+            run.search.encoding = encoding;
+            ScheduleRun report;
+            const NeighborLists lists =
+                searchOn(problem, encoding, devicesOf(problem.need(encoding) / 2), run, report);
+            expectSameLists(lists, SearchEngine().search(problem.grid, run.search));
+            EXPECT_EQ(lists.radius(), run.search.radius);
+            EXPECT_GT(report.devices[0].particles, 0u);
+        }
+    }
+}
+
 #if defined(VDB_NNS_EMULATED)
 #if defined(SIMT_ASAN) // four times as slow
 INSTANTIATE_TEST_SUITE_P(Seeds, CudaSearch, ::testing::Values(3));

@@ -755,6 +755,24 @@ TEST_F(OutputTest, npzOfASearchWithoutListsHasTheSameBytes)
     }
 }
 
+// Rows are made with the radius that the neighbors were counted with, whatever the options say.
+TEST_F(OutputTest, npzOfASearchWithASmallerRadiusHasTheSameBytes)
+{
+    using namespace testing;
+    const PointSet set = roundedToFloats(arraySets(Precision::kFloat).at(5));
+    const SetView input(set, Form::kFloats);
+    SearchEngine engine;
+    const NeighborLists lists = engine.findNeighbors(input.view(), set.radius);
+    SearchOptions counting;
+    counting.encoding = Encoding::kNone;
+    counting.radius = set.radius;
+    const NeighborLists counts = engine.search(engine.buildGrid(input.view(), 2 * set.radius), counting);
+    EXPECT_GT(counts.pairCount(), 0u);
+    writeNpz(path("lists.npz"), lists, ListValues::kDistance, kOverwrite);
+    streamNpz(path("direct.npz"), engine, counts, ListValues::kDistance, kOverwrite, 0);
+    EXPECT_TRUE(contents(path("direct.npz")) == contents(path("lists.npz")));
+}
+
 TEST_F(OutputTest, npzWithoutListsStopsWhenAskedAndLeavesNothing)
 {
     class StopLater final : public Progress {

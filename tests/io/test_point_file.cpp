@@ -1,5 +1,6 @@
 // Point grids and point files: every value as OpenVDB's own handles give it, damage noticed, and a file
 // written again with nothing changed but the attribute that was added.
+#include "grid/sparse_grid_data.h"
 #include "points/particle_source.h"
 #include "support/comparator.h"
 #include "vdb_nns/error.h"
@@ -260,6 +261,44 @@ TEST_F(PointFileTest, voxelsDoNotServeAsCellsWherePairsCouldBeLost)
     EXPECT_FALSE(usesVoxels(gridWith(Vec3f(0, 0, 0.50001f)), 0.99));
     EXPECT_FALSE(usesVoxels(gridWith(Vec3f(0, 0, 0.75f)), 0.99));
     EXPECT_FALSE(usesVoxels(gridWith(Vec3f(std::numeric_limits<float>::quiet_NaN(), 0, 0)), 0.99));
+}
+
+TEST_F(PointFileTest, voxelsAreALatticeOfTheirOwn)
+{
+    const auto edge = openvdb::math::Transform::createLinearTransform(0.3);
+    const PointDataGrid::Ptr grid = makeGrid<points::NullCodec>(600, "points", edge);
+    const ParticleView view = viewOf(grid);
+    SearchEngine engine;
+    const SparseGrid cells = engine.buildGrid(view, 0.28);
+    const Lattice lattice = chooseLattice(view, 0.28);
+    EXPECT_TRUE(lattice.usesVoxels);
+    EXPECT_EQ(lattice, cells.lattice());
+    const SparseGrid again = engine.buildGrid(view, lattice);
+    EXPECT_EQ(again.lattice(), lattice);
+    EXPECT_EQ(again.leafCount(), cells.leafCount());
+    EXPECT_EQ(again.cellCount(), cells.cellCount());
+    // A smaller radius, also below that from which voxels are taken unasked.
+    for (const double radius : {0.2, 0.05}) {
+        SearchOptions options;
+        options.radius = radius;
+        const NeighborLists lists = engine.search(again, options);
+        EXPECT_EQ(lists.checksum(), findNeighbors(view, radius).checksum());
+    }
+    // Another grid of the same voxels shares the lattice; one with others, and one with particles outside their voxels, cannot.
+    const PointDataGrid::Ptr other = makeGrid<Truncate>(100, "points", edge->copy());
+    EXPECT_TRUE(shareLattice(engine.buildGrid(viewOf(other), lattice).data(), cells.data()));
+    const PointDataGrid::Ptr wider =
+        makeGrid<points::NullCodec>(100, "points", openvdb::math::Transform::createLinearTransform(0.31));
+    EXPECT_THROW(engine.buildGrid(viewOf(wider), lattice), InvalidInput);
+    const PointDataGrid::Ptr outside = PointDataGrid::create();
+    outside->setTransform(edge->copy());
+    addLeaf(*outside, Coord(0), {{0, Vec3f(0.75f, 0, 0)}});
+    EXPECT_THROW(engine.buildGrid(viewOf(outside), lattice), InputError);
+    EXPECT_FALSE(chooseLattice(viewOf(outside), 0.28).usesVoxels);
+    // Cells of their own that begin at a voxel.
+    Lattice own = chooseLattice(viewOf(outside), 0.28);
+    own.reference = {-3, 5, 0};
+    EXPECT_EQ(engine.search(engine.buildGrid(view, own)).checksum(), findNeighbors(view, 0.28).checksum());
 }
 
 // ------------------------------------------------------------------------------------------------ views

@@ -684,6 +684,24 @@ TEST(DeviceClock, OneSlotDoesOneThingAtATime)
     EXPECT_EQ(clock.searchSeconds(), 4 + 2 + 1);
 }
 
+// Index lists of fewer neighbors take less room: what needed several blocks fits at once. Masks take the same.
+TEST(Schedule, FollowsASmallerRadius)
+{
+    Problem problem("block", 8000);
+    EstimateOptions options;
+    options.radius = 0.5 * problem.grid.radius();
+    Problem smaller(problem.scene);
+    smaller.estimate = estimateWork(smaller.grid, options);
+    const std::vector<DeviceLimits> device = {deviceOf(problem.need(Encoding::kIndex) / 2)};
+    const Schedule several = problem.schedule(Encoding::kIndex, device, {});
+    const Schedule one = smaller.schedule(Encoding::kIndex, device, {});
+    EXPECT_FALSE(several.inCore);
+    EXPECT_GT(several.blocks.size(), 1u);
+    EXPECT_TRUE(one.inCore);
+    EXPECT_LT(one.blocks[0].work.expectedPairs, 0.3 * problem.estimate.total.expectedPairs);
+    EXPECT_EQ(smaller.need(Encoding::kMask), problem.need(Encoding::kMask));
+}
+
 } // namespace
 
 } // namespace vdb_nns::testing

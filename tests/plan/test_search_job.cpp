@@ -49,6 +49,27 @@ std::uint64_t residentAnd(std::uint64_t bytes)
     return residentMemoryBytes() + kReserve + bytes;
 }
 
+// The estimate is for the radius of the search too, both the rough one and that in full.
+TEST(SearchJob, FollowsASmallerRadiusThanTheLattices)
+{
+    const Scene scene = sceneOf("dam_break", 60000);
+    const ParticleView view = viewOf(scene);
+    const double radius = 0.6 * scene.suggestedRadius;
+    const NeighborLists truth = findNeighbors(view, radius);
+    for (const std::uint64_t bytes : {std::uint64_t(1) << 30, std::uint64_t(1) << 20}) {
+        SCOPED_TRACE(bytes);
+        JobOptions options = jobOn("sim", bytes);
+        JobReport full, report;
+        SearchEngine().findNeighbors(view, scene.suggestedRadius, options, full);
+        options.search.radius = radius;
+        const NeighborLists lists =
+            SearchEngine().findNeighbors(view, scene.suggestedRadius, options, report);
+        EXPECT_EQ(lists.radius(), radius);
+        EXPECT_EQ(lists.checksum(), truth.checksum());
+        EXPECT_LT(report.plan->total.expectedPairs, 0.5 * full.plan->total.expectedPairs);
+    }
+}
+
 TEST(SearchJob, FindsTheSameListsOnTheCpuAndOnDevices)
 {
     for (const char* name : {"dam_break", "spray"}) {

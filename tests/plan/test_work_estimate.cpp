@@ -3,6 +3,7 @@
 #include "cpu/kernels.h"
 #include "cpu/leaves_in_reach-inl.h"
 #include "exact/exact_test.h"
+#include "grid/lattice.h"
 #include "lists/cell_candidates.h"
 #include "lists/neighbor_lists_data.h"
 #include "plan/overlap_table.h"
@@ -91,8 +92,8 @@ Work sumOf(const std::vector<Work>& leaves)
 TEST(WorkEstimate, TestsBytesAndParticlesAreThoseOfEveryCell)
 {
     forEachGrid([](const PointSet&, const SparseGrid& grid) {
-        const std::vector<Work> slow =
-            slowWork(grid, OverlapTable::byQuadrature(grid.data().radiusCells, grid.reach()));
+        const std::vector<Work> slow = slowWork(
+            grid, OverlapTable::byQuadrature(radiusInCells(grid.lattice(), grid.radius()), grid.reach()));
         const WorkEstimate estimate = estimateBy(grid, Estimator::kExpected);
         ASSERT_EQ(estimate.leaves.size(), grid.leafCount());
         for (std::size_t l = 0; l < slow.size(); ++l) {
@@ -120,7 +121,7 @@ TEST(ExpectNeighbors, IsWorkedOutByHand)
 {
     const double x[] = {0.25, 0.5, 0.5, kNan, 1, 1, 1.5, 0.5, 0.5, 0.75, 0.5, 0.5, 40.5, 0.5, 0.5};
     const SparseGrid grid = gridOf(ParticleView::fromArray(x, 5), 1, 1);
-    const OverlapTable overlap = OverlapTable::byQuadrature(grid.data().radiusCells, 1);
+    const OverlapTable overlap = OverlapTable::byQuadrature(radiusInCells(grid.lattice(), grid.radius()), 1);
     const double own = overlap.share(0, 0, 0), next = overlap.share(1, 0, 0);
     ASSERT_GT(own, next);
     const double expected[] = {own + next, 0, 2 * next, own + next, 0};
@@ -187,8 +188,8 @@ TEST(ExpectNeighbors, OtherEstimatorsAreRefusedAndNothingHasNone)
 TEST(WorkEstimate, TheExpectationIsTheSumOfSharesOverCells)
 {
     forEachGrid([](const PointSet&, const SparseGrid& grid) {
-        const std::vector<Work> slow =
-            slowWork(grid, OverlapTable::byQuadrature(grid.data().radiusCells, grid.reach()));
+        const std::vector<Work> slow = slowWork(
+            grid, OverlapTable::byQuadrature(radiusInCells(grid.lattice(), grid.radius()), grid.reach()));
         const WorkEstimate estimate = estimateBy(grid, Estimator::kExpected, false);
         for (std::size_t l = 0; l < slow.size(); ++l) {
             const double tolerance = 1e-5 * slow[l].expectedPairs + 1e-6;
@@ -438,6 +439,48 @@ private:
     mutable std::atomic<int> mLeft;
 };
 
+// A search with a smaller radius than its lattice: tests and masks are those of the cells, pairs those of the radius.
+TEST(WorkEstimate, FollowsASmallerRadius)
+{
+    for (const char* name : {"block", "clusters"}) {
+        const SceneGrid scene(name, 8000);
+        SearchOptions counting;
+        counting.encoding = Encoding::kNone;
+        counting.radius = 0.7 * scene.grid.radius();
+        const auto pairs =
+            static_cast<double>(SearchEngine().search(scene.grid, counting).statistics().pairs);
+        EstimateOptions options;
+        options.radius = counting.radius;
+        for (const Estimator estimator : {Estimator::kExpected, Estimator::kMonteCarlo, Estimator::kSampled,
+                                          Estimator::kCounted, Estimator::kFixed, Estimator::kProbed}) {
+            SCOPED_TRACE(std::string(name) + " " + estimatorName(estimator));
+            options.estimator = estimator;
+            options.monteCarloSamples = 100'000;
+            const WorkEstimate full = estimateBy(scene.grid, estimator);
+            const WorkEstimate estimate = estimateWork(scene.grid, options);
+            EXPECT_EQ(full.radius, scene.grid.radius());
+            EXPECT_EQ(estimate.radius, options.radius);
+            EXPECT_EQ(estimate.total.candidateTests, full.total.candidateTests);
+            EXPECT_EQ(estimate.total.maskBytes, full.total.maskBytes);
+            if (estimator == Estimator::kFixed) continue;
+            EXPECT_LT(estimate.total.expectedPairs, 0.7 * full.total.expectedPairs);
+            if (estimator == Estimator::kExpected || estimator == Estimator::kSampled) {
+                EXPECT_NEAR(estimate.total.expectedPairs / pairs, 1, 0.1);
+            } else if (estimator == Estimator::kCounted) {
+                EXPECT_EQ(estimate.total.expectedPairs, pairs);
+            }
+        }
+        // The model itself, against the slow sum.
+        options.estimator = Estimator::kExpected;
+        options.correctCrowding = false;
+        const OverlapTable overlap = OverlapTable::byQuadrature(
+            radiusInCells(scene.grid.lattice(), options.radius), scene.grid.reach());
+        const double slow = sumOf(slowWork(scene.grid, overlap)).expectedPairs;
+        EXPECT_NEAR(estimateWork(scene.grid, options).total.expectedPairs, slow, 1e-5 * slow);
+        EXPECT_NEAR(sumOf(expectNeighbors(scene.grid, options)), slow, 1e-5 * slow);
+    }
+}
+
 TEST(WorkEstimate, IsStoppedByAProgress)
 {
     const SceneGrid scene("clusters", 20000);
@@ -474,10 +517,11 @@ std::vector<QueryRange> rangesOf(const SparseGrid& grid, std::uint32_t most)
     return ranges;
 }
 
-void expectOraclesCounts(const SparseGrid& grid, const std::vector<QueryRange>& ranges, const Lists& oracle)
+void expectOraclesCounts(const SparseGrid& grid, double radius, const std::vector<QueryRange>& ranges,
+                         const Lists& oracle)
 {
     const std::vector<std::uint32_t> counts =
-        countQueries(grid.data(), ranges, CancelCheck(nullptr, "count"));
+        countQueries(grid.data(), radius, ranges, CancelCheck(nullptr, "count"));
     auto count = counts.begin();
     for (const QueryRange& range : ranges) {
         for (std::uint32_t s = range.firstSlot; s < range.endSlot; ++s, ++count) {
@@ -498,7 +542,7 @@ TEST(CountQueries, EveryQueryHasTheOraclesCount)
             std::vector<QueryRange> ranges = rangesOf(grid, most);
             std::shuffle(ranges.begin(), ranges.end(), std::mt19937(5));
             if (!ranges.empty()) ranges.push_back(ranges[0]);
-            expectOraclesCounts(grid, ranges, oracle);
+            expectOraclesCounts(grid, set.radius, ranges, oracle);
         }
     });
 }
@@ -510,7 +554,9 @@ TEST(CountQueries, VoxelsUnderEveryMapToo)
             continue;
         const SetView input(set, Form::kVoxels);
         const SparseGrid grid = gridOf(input.view(), set.radius, 0);
-        expectOraclesCounts(grid, rangesOf(grid, 2), oracleLists(set));
+        expectOraclesCounts(grid, set.radius, rangesOf(grid, 2), oracleLists(set));
+        const SparseGrid wider = gridOf(input.view(), 3 * set.radius, 2);
+        expectOraclesCounts(wider, set.radius, rangesOf(wider, 2), oracleLists(set));
     }
 }
 
@@ -519,8 +565,9 @@ TEST(CountQueries, IsStoppedByAProgress)
     const double one[3] = {1, 2, 3};
     const SparseGrid grid = gridOf(ParticleView::fromArray(one, 1), 1, 1);
     StopAfter stop(0);
-    EXPECT_THROW(countQueries(grid.data(), {{0, 0, 1}}, CancelCheck(&stop, "count")), Cancelled);
-    EXPECT_TRUE(countQueries(grid.data(), {}, CancelCheck(&stop, "count")).empty());
+    EXPECT_THROW(countQueries(grid.data(), grid.radius(), {{0, 0, 1}}, CancelCheck(&stop, "count")),
+                 Cancelled);
+    EXPECT_TRUE(countQueries(grid.data(), grid.radius(), {}, CancelCheck(&stop, "count")).empty());
 }
 
 using Cells = std::array<std::uint64_t, 8>;
@@ -533,10 +580,11 @@ public:
           mKernels(kernelsFor(level)),
           mExact(grid.data().view, grid.radius()),
           mContext{blockViewOf(grid.data()),
-                   makeFilterBounds(grid.data().radiusCells, grid.reach(), grid.data().coordinateError),
+                   makeFilterBounds(radiusInCells(grid.lattice(), grid.radius()), grid.reach(),
+                                    grid.data().coordinateError),
                    pollOf(mCancel)}
     {
-        mState.judgeBy(mExact, mCancel);
+        mState.decideBy(mExact, mCancel);
         mPool.begin(std::uint64_t(1) << 26, grid.particleCount());
         mState.pool = &mPool;
         mState.sink.slotBase = 0;
@@ -549,8 +597,8 @@ public:
         LeafNeighborhood neighborhood;
         mGrid.data().topology.neighborhoods({&mGrid.data().leafOrigins[leaf], 1}, &neighborhood);
         const SearchTask task{leaf, first, end, neighborhood.leaf, cells.data()};
-        (lists ? mKernels.index : mKernels.count)(mContext, task, mState.judge(), mState.halo, mState.sink,
-                                                  mState.statistics);
+        (lists ? mKernels.index : mKernels.count)(mContext, task, mState.exactPredicate(), mState.halo,
+                                                  mState.sink, mState.statistics);
     }
 
     // The mask rows of the queries of one cell.
@@ -558,7 +606,7 @@ public:
     {
         const LeafRecord* const record = mGrid.data().leaves.data() + leaf;
         const SearchTask task{leaf, record[0].firstSlot, record[1].firstSlot, neighborhood.leaf, cell.data()};
-        mKernels.mask(mContext, task, mState.judge(), mState.halo, mState.sink, mState.statistics);
+        mKernels.mask(mContext, task, mState.exactPredicate(), mState.halo, mState.sink, mState.statistics);
         return mState.sink.taskBegin;
     }
 
@@ -723,7 +771,8 @@ TEST(LeavesInReach, AreThoseThatHoldACellInReach)
 TEST(ExpectCells, IsTheSameWithEveryInstructionSet)
 {
     forEachGrid([](const PointSet&, const SparseGrid& grid) {
-        const OverlapTable overlap = OverlapTable::byQuadrature(grid.data().radiusCells, grid.reach());
+        const OverlapTable overlap =
+            OverlapTable::byQuadrature(radiusInCells(grid.lattice(), grid.radius()), grid.reach());
         std::vector<float> shares;
         for (int x = -grid.reach(); x <= grid.reach(); ++x) {
             for (int y = -grid.reach(); y <= grid.reach(); ++y) {

@@ -29,6 +29,9 @@ enum class Estimator {
 
 struct EstimateOptions {
     Estimator estimator = Estimator::kExpected;
+    /// Of the search, in world units, at most that of the grid's lattice; 0: the lattice's
+    /// (SearchOptions::radius).
+    double radius = 0;
     /// Share of the queries that kSampled counts. kExpected counts half as many groups, each of up to 8
     /// queries of one cell, but at least 512 groups.
     double sampleFraction = 0.03;
@@ -59,6 +62,8 @@ struct Work {
 
 struct WorkEstimate {
     Estimator estimator = Estimator::kExpected;
+    double radius =
+        0; ///< of the search that it is for, in world units; tests and masks follow from the lattice alone
     std::vector<Work> leaves; ///< by leaf of the grid
     Work total;
     bool corrected = false;           ///< the expectation was corrected by a sample
@@ -75,7 +80,8 @@ struct WorkEstimate {
 /// Source of the expectation: Kim et al., Out-of-Core Proximity Computation for Particle-based Fluid
 /// Simulations (HPG 2014): E(C_q) = sum over cells C_i of n(C_i) D(C_q, C_i) / (V(C_q) V(C_i)), less the
 /// query itself.
-/// @throws InvalidInput for a fraction outside (0, 1], no samples, or a negative number of neighbors
+/// @throws InvalidInput for a fraction outside (0, 1], no samples, a negative number of neighbors, or a
+///         radius above the lattice's
 /// @throws Cancelled
 WorkEstimate estimateWork(const SparseGrid& grid, const EstimateOptions& options = {});
 

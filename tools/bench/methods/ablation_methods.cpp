@@ -43,7 +43,7 @@ private:
         }
         for (Scratch& scratch : mScratch) scratch.rows.restart();
         const PairJudge judge(view, radius);
-        const AblationSearch<kFrame, kTest> search(mStructure, limits(grid), mSettings, judge);
+        const AblationSearch<kFrame, kTest> search(mStructure, limits(grid, radius), mSettings, judge);
         tbb::parallel_for(tbb::blocked_range<std::uint32_t>(0, static_cast<std::uint32_t>(grid.leafCount())),
                           [&](const tbb::blocked_range<std::uint32_t>& range) {
                               throwIfStopped();
@@ -57,13 +57,13 @@ private:
         result.structureBytes = grid.bytes() + mStructure.bytes();
     }
 
-    PairLimits<Real> limits(const SparseGrid& grid) const
+    PairLimits<Real> limits(const SparseGrid& grid, double radius) const
     {
         if constexpr (kFrame != AblationFrame::kLeafFloat) {
-            const Real radius = static_cast<Real>(grid.radius());
-            return {radius * radius, 0};
+            const Real rounded = static_cast<Real>(radius);
+            return {rounded * rounded, 0};
         } else {
-            const double radiusCells = grid.radius() / grid.cellSize();
+            const double radiusCells = radius / grid.cellSize();
             if (kTest != AblationTest::kCertified) return {static_cast<float>(radiusCells * radiusCells), 0};
             const FilterBounds bounds =
                 makeFilterBounds(radiusCells, grid.reach(), mStructure.coordinateError);
