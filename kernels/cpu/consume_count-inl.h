@@ -26,8 +26,12 @@ struct CountRows {
         void begin(int) {}
         Row first() const { return {}; }
         Row second() const { return {}; }
-        std::uint32_t end(std::uint32_t q, Row row) { return counts[q] = row.count; }
-        std::uint32_t endPair(std::uint32_t q, Row a, Row b) { return end(q, a) + end(q + 1, b); }
+        std::uint32_t end(Row row) { return *counts++ = row.count; }
+        std::uint32_t endPair(Row a, Row b)
+        {
+            const std::uint32_t count = end(a);
+            return count + end(b);
+        }
         void finish() {}
     };
 

@@ -26,8 +26,8 @@ struct IndexRows {
     // The first row is made where the target wants it, the second beside it, and moved behind the first once that is complete.
     struct Group {
         IndexRows& rows;
-        std::uint32_t slot;
-        std::size_t most; // entries that making a row may touch
+        std::uint32_t slot; // of the next row
+        std::size_t most;   // entries that making a row may touch
         std::uint32_t* firstBegin = nullptr;
         std::uint32_t* secondBegin;
 
@@ -43,14 +43,14 @@ struct IndexRows {
         Row first() const { return {firstBegin}; }
         Row second() const { return {secondBegin}; }
 
-        std::uint32_t end(std::uint32_t q, Row row)
+        std::uint32_t end(Row row)
         {
             const auto count = static_cast<std::uint32_t>(row.out - firstBegin);
-            rows.note(slot + q, rows.target.commit(count), count);
+            rows.note(slot++, rows.target.commit(count), count);
             return count;
         }
 
-        std::uint32_t endPair(std::uint32_t q, Row a, Row b)
+        std::uint32_t endPair(Row a, Row b)
         {
             const auto countA = static_cast<std::uint32_t>(a.out - firstBegin);
             const auto countB = static_cast<std::uint32_t>(b.out - secondBegin);
@@ -58,8 +58,8 @@ struct IndexRows {
                 Simd::store(a.out + k, Simd::load(secondBegin + k));
             }
             std::uint32_t* const row = rows.target.commit(countA + countB);
-            rows.note(slot + q, row, countA);
-            rows.note(slot + q + 1, row + countA, countB);
+            rows.note(slot++, row, countA);
+            rows.note(slot++, row + countA, countB);
             return countA + countB;
         }
 

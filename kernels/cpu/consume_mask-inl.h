@@ -92,19 +92,19 @@ struct MaskRows {
         Row first() const { return Row(hitBits); }
         Row second() const { return Row(secondHitBits); }
 
-        std::uint32_t end(std::uint32_t q, Row row)
+        std::uint32_t end(Row row)
         {
             row.finish();
             const std::uint32_t count = writeRow(row.words);
-            counts[q] = count;
+            *counts++ = count;
             out += rowWords;
             return count;
         }
 
-        std::uint32_t endPair(std::uint32_t q, Row a, Row b)
+        std::uint32_t endPair(Row a, Row b)
         {
-            const std::uint32_t count = end(q, a);
-            return count + end(q + 1, b);
+            const std::uint32_t count = end(a);
+            return count + end(b);
         }
 
         void finish() { rows.sink.out = out; }

@@ -18,8 +18,8 @@
 //     void begin(rows)                      the next one or two rows begin
 //     Row first(), second()                 each of them, empty. Asked for again where a row is made anew: what was taken
 //                                           before counts for nothing
-//     std::uint32_t end(q, row)             the row of query q of the group is complete; returns its neighbors
-//     std::uint32_t endPair(q, a, b)        the rows of q and q + 1 are
+//     std::uint32_t end(row)                the row is complete; returns how many neighbors it has
+//     std::uint32_t endPair(a, b)           both rows are
 //     void finish()                         the last row has ended
 //
 // Rows end in the order of slots, each once.
@@ -43,39 +43,42 @@ struct RowTest {
 };
 
 // Not inlined: in the loops around it, it would lack registers (with AVX2 9 to 15 % more instructions for masks and numbers).
+// The call is 2 % of a search for counts alone with AVX-512.
+// Arguments by value, and copies: what consumers write could change the originals, as far as the compiler knows.
 template <typename Consumer, typename Frame>
-__attribute__((noinline)) void searchRows(Consumer& consumer, const Frame& frame, const Queries& queries,
+__attribute__((noinline)) void searchRows(Consumer& consumer, const Frame frame, const Queries queries,
                                           RowTest& test)
 {
     using Row = typename Consumer::Row;
-    const FilterBounds bounds = test.bounds; // a copy: what consumers write could change the original
-    const auto exactly = [&](std::uint32_t q, const Row& row) {
-        return testBand(bounds, frame, queries.self + q, test.exact, test.statistics, row);
+    const FilterBounds bounds = test.bounds;
+    const auto exactly = [&](std::uint32_t self, const Row& row) {
+        return testBand(bounds, frame, self, test.exact, test.statistics, row);
     };
     typename Consumer::Group group(consumer, queries, frame.count);
     std::uint64_t pairs = 0;
-    std::uint32_t q = 0;
-    for (; q + 1 < queries.count; q += 2) {
+    std::uint32_t self = queries.self;
+    const std::uint32_t end = self + queries.count;
+    for (; self + 1 < end; self += 2) {
         group.begin(2);
         Row a = group.first(), b = group.second();
         const auto take = [&a, &b](Simd::I numbers, Simd::Mask hitsA, Simd::Mask hitsB) {
             a.take(numbers, hitsA);
             b.take(numbers, hitsB);
         };
-        if (test.tied || testPair(bounds, frame, queries.self + q, take)) {
+        if (test.tied || testPair(bounds, frame, self, take)) {
             const std::uint64_t before = test.statistics.bandPairs;
-            a = exactly(q, group.first());
-            b = exactly(q + 1, group.second());
+            a = exactly(self, group.first());
+            b = exactly(self + 1, group.second());
             test.tied = test.statistics.bandPairs != before;
         }
-        pairs += group.endPair(q, a, b);
+        pairs += group.endPair(a, b);
     }
-    if (q < queries.count) {
+    if (self < end) {
         group.begin(1);
         Row row = group.first();
         const auto take = [&row](Simd::I numbers, Simd::Mask hits) { row.take(numbers, hits); };
-        if (test.tied || testQuery(bounds, frame, queries.self + q, take)) row = exactly(q, group.first());
-        pairs += group.end(q, row);
+        if (test.tied || testQuery(bounds, frame, self, take)) row = exactly(self, group.first());
+        pairs += group.end(row);
     }
     group.finish();
     test.statistics.pairs += pairs;

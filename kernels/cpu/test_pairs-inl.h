@@ -22,9 +22,10 @@ inline Simd::I numbersAt(const char* p, std::size_t stride)
 
 // Tests a query and the next one, and hands each vector's hits to take(numbers, hits of the first, hits of the second). Two
 // at a time read the candidates once for both. True when some are in the band: then both rows are to be made again, by
-// testBand().
+// testBand(). Always inlined: rows that `take` refers to are in registers only then.
 template <typename Frame, typename Take>
-inline bool testPair(const FilterBounds& bounds, const Frame& frame, std::uint32_t self, Take&& take)
+__attribute__((always_inline)) inline bool testPair(const FilterBounds& bounds, const Frame& frame,
+                                                    std::uint32_t self, Take&& take)
 {
     const std::size_t stride = frame.stride;
     const char* p = frame.base;
@@ -51,7 +52,8 @@ inline bool testPair(const FilterBounds& bounds, const Frame& frame, std::uint32
 
 // The same for one query: take(numbers, hits).
 template <typename Frame, typename Take>
-inline bool testQuery(const FilterBounds& bounds, const Frame& frame, std::uint32_t self, Take&& take)
+__attribute__((always_inline)) inline bool testQuery(const FilterBounds& bounds, const Frame& frame,
+                                                     std::uint32_t self, Take&& take)
 {
     const std::size_t stride = frame.stride;
     const char* p = frame.base;
