@@ -36,7 +36,7 @@ struct LeafCells {
 inline std::size_t readLeaves(const BlockView& block, const std::uint32_t* neighborhood, LeafCells* leaves)
 {
     std::size_t particles = 0;
-    for (int n = 0; n < 27; ++n) {
+    for (int n = 0; n < kLeavesAround; ++n) {
         LeafCells& leaf = leaves[n];
         if (neighborhood[n] == kNoLeaf) {
             for (int w = 0; w < 8; ++w) leaf.word[w] = 0;

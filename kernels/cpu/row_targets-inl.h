@@ -1,4 +1,8 @@
-// Where the rows of a task go: a kernel writes through one of these. Internal linkage; see simd.h.
+// Where rows of numbers go (consume_index-inl.h): to the sink's memory, by way of the caches or past them. Knows the sink and
+// the order of rows, and nothing of tests. Internal linkage; see simd.h.
+//
+// A target: reserve(entries) says where the next rows are to be made, with room for so many; commit(count) takes what
+// stands there and returns where it will be read; finish() ends a task.
 #pragma once
 
 #include "cpu/search_task.h"
@@ -33,7 +37,7 @@ struct DirectRows {
 // stores would read every line from memory before overwriting it. Rows are made in a staging buffer in the cache; whole
 // lines leave from there, and the part of a line that a task leaves waits in the sink for the next one.
 struct StreamedRows {
-    static constexpr std::size_t kLine = 16; // entries
+    static constexpr std::size_t kLine = RowSink::kLine;
     static constexpr std::size_t kFlushAt =
         1024; // entries: 4 KB, and HaloScratch has room for as many past the kept
 

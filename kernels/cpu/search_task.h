@@ -25,7 +25,7 @@ struct SearchContext {
 struct SearchTask {
     std::uint32_t leaf;
     std::uint32_t firstSlot, endSlot;  // queries, inside the leaf
-    const std::uint32_t* neighborhood; // 27 leaf indices, see LeafNeighborhood
+    const std::uint32_t* neighborhood; // kLeavesAround leaf indices, see LeafNeighborhood
     const std::uint64_t* cells =
         nullptr; // 8 words: only queries in these cells; null for all. One alone for masks
 };
@@ -38,6 +38,8 @@ struct ExactPredicate {
 
 // Where rows go. One for each thread.
 struct RowSink {
+    static constexpr std::size_t kLine = 16; // entries of a cache line
+
     std::uint32_t* out; // next free entry
     std::uint32_t* end;
     void* owner;
@@ -47,7 +49,7 @@ struct RowSink {
     std::uint32_t* rowCount;
     std::uint32_t nextSlot;         // all rows of the task before it are done; index rows only
     const std::uint32_t* taskBegin; // mask rows only: set by the kernel
-    std::uint32_t tail[16];         // streamed rows only: entries that belong at `out`
+    std::uint32_t tail[kLine];      // streamed rows only: entries that belong at `out`
     std::uint32_t tailSize;
 };
 

@@ -17,8 +17,8 @@
 namespace vdb_nns {
 
 constexpr std::uint32_t kNoLeaf = 0xffffffffu;
-constexpr int kOwnLeaf =
-    13; // of the 27 leaves around and including a leaf, by (dx, dy, dz) lexicographic: itself
+constexpr int kLeavesAround = 27; // a leaf and those that touch it, by (dx, dy, dz) lexicographic
+constexpr int kOwnLeaf = 13;      // which of them is the leaf itself
 
 struct LeafRecord {
     std::uint32_t firstSlot;        // slot of its first particle; those of the next leaf follow
@@ -38,7 +38,7 @@ struct BlockView {
 
 // A block as a device holds it: own leaves, then the halo's. See src/out_of_core/block_image.h for how it stands in memory.
 struct BlockImage {
-    static constexpr int kNeighborhoodSize = 28; // 27 leaves; which of its cells are wanted
+    static constexpr int kNeighborhoodSize = kLeavesAround + 1; // and which of its cells are wanted
 
     BlockView block;
     std::uint32_t leaves;               // own ones
@@ -50,7 +50,7 @@ struct BlockImage {
     // The cells of an own leaf whose queries are wanted; null for all.
     VDB_NNS_HOST_DEVICE const std::uint64_t* cellsOf(std::uint32_t leaf) const
     {
-        const std::uint32_t set = neighborhoods[std::size_t(leaf) * kNeighborhoodSize + 27];
+        const std::uint32_t set = neighborhoods[std::size_t(leaf) * kNeighborhoodSize + kLeavesAround];
         return set == kNoLeaf ? nullptr : cells + std::size_t(set) * 8;
     }
 };

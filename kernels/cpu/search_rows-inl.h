@@ -1,0 +1,90 @@
+// The inner loop: the queries of a cell against the candidates of a frame, two at a time and the odd one by itself. What
+// becomes of the hits is up to a consumer, a type known at compile time, one file each (consume_*-inl.h). Internal linkage.
+//
+// A consumer has, see consume_count-inl.h for the smallest:
+//
+//   static constexpr bool kByCandidate      rows need scratch.keepBits() and all candidates of the cells in reach in their
+//                                           place: then sparse leaves are searched like others
+//   Consumer(HaloScratch&, RowSink&)        once for a task
+//   void reserve(words)                     if kByCandidate: room for rows of so many 32-bit words, before all else
+//   void finish()                           once for a task, after its last row
+//
+//   struct Row                              one row in the making: a few words, copied freely, so that they stay in registers
+//     void take(numbers, hits)              a vector of candidates: their numbers, and a bit for each that is a neighbor.
+//                                           Lanes without a bit hold anything
+//
+//   struct Group                            a run of queries; lives in the loop, for the same reason
+//     Group(Consumer&, queries, tested)     `tested`: candidates that a row takes
+//     void begin(rows)                      the next one or two rows begin
+//     Row first(), second()                 each of them, empty. Asked for again where a row is made anew: what was taken
+//                                           before counts for nothing
+//     std::uint32_t end(row)                the row is complete; returns how many neighbors it has
+//     std::uint32_t endPair(a, b)           both rows are
+//     void finish()                         the last row has ended
+//
+// Rows end in the order of slots, each once.
+#pragma once
+
+#include "cpu/cell_queries-inl.h"
+#include "cpu/test_pairs-inl.h"
+
+namespace vdb_nns {
+namespace {
+
+// What decides who is a neighbor, throughout a task.
+struct RowTest {
+    const FilterBounds& bounds;
+    const ExactPredicate& exact;
+    TaskStatistics& statistics;
+
+    // The last pair of queries had candidates in the band. Then the next one probably has too, as on a lattice: rows go to
+    // testBand() at once, until a pair has none.
+    bool tied = false;
+};
+
+// Not inlined: in the loops around it, it would lack registers (with AVX2 9 to 15 % more instructions for masks and numbers).
+// The call is 2 % of a search for counts alone with AVX-512.
+// Copies of frame and bounds: what consumers write could change the originals, as far as the compiler knows. Arguments by
+// value instead go over the stack, and counts take 6 % longer.
+template <typename Consumer, typename Frame>
+__attribute__((noinline)) void searchRows(Consumer& consumer, const Frame& given, const Queries& queries,
+                                          RowTest& test)
+{
+    using Row = typename Consumer::Row;
+    const Frame frame = given;
+    const FilterBounds bounds = test.bounds;
+    const auto exactly = [&](std::uint32_t self, const Row& row) {
+        return testBand(bounds, frame, self, test.exact, test.statistics, row);
+    };
+    typename Consumer::Group group(consumer, queries, frame.count);
+    std::uint64_t pairs = 0;
+    std::uint32_t self = queries.self;
+    const std::uint32_t end = self + queries.count;
+    for (; self + 1 < end; self += 2) {
+        group.begin(2);
+        Row a = group.first(), b = group.second();
+        const auto take = [&a, &b](Simd::I numbers, Simd::Mask hitsA, Simd::Mask hitsB) {
+            a.take(numbers, hitsA);
+            b.take(numbers, hitsB);
+        };
+        if (test.tied || testPair(bounds, frame, self, take)) {
+            const std::uint64_t before = test.statistics.bandPairs;
+            a = exactly(self, group.first());
+            b = exactly(self + 1, group.second());
+            test.tied = test.statistics.bandPairs != before;
+        }
+        pairs += group.endPair(a, b);
+    }
+    if (self < end) {
+        group.begin(1);
+        Row row = group.first();
+        const auto take = [&row](Simd::I numbers, Simd::Mask hits) { row.take(numbers, hits); };
+        if (test.tied || testQuery(bounds, frame, self, take)) row = exactly(self, group.first());
+        pairs += group.end(row);
+    }
+    group.finish();
+    test.statistics.pairs += pairs;
+}
+
+} // namespace
+} // namespace vdb_nns

@@ -1,0 +1,105 @@
+// Tests of queries against all candidates of a frame, a vector at a time. Knows frames and the membership rule's two steps,
+// the filter and the exact test; nothing of what becomes of the hits. Internal linkage; see simd.h.
+//
+// Each step hands over the numbers of a vector's candidates and which of them are hits. The query itself never is one.
+#pragma once
+
+#include "cpu/membership_simd-inl.h"
+#include "cpu/search_task.h"
+
+namespace vdb_nns {
+namespace {
+
+constexpr std::size_t kVectorBytes = Simd::kLanes * sizeof(float);
+constexpr std::int32_t kLargestBits = 0x7fffffff; // above the bits of every score
+
+// `stride` is a copy of the frame's: hits may be written where the compiler must think that the original is.
+template <typename Frame>
+inline Simd::I numbersAt(const char* p, std::size_t stride)
+{
+    return Simd::load(integers(p + Frame::kNumber * stride));
+}
+
+// Tests a query and the next one, and hands each vector's hits to take(numbers, hits of the first, hits of the second). Two
+// at a time read the candidates once for both. True when some are in the band: then both rows are to be made again, by
+// testBand(). Always inlined: rows that `take` refers to are in registers only then.
+template <typename Frame, typename Take>
+__attribute__((always_inline)) inline bool testPair(const FilterBounds& bounds, const Frame& frame,
+                                                    std::uint32_t self, Take&& take)
+{
+    const std::size_t stride = frame.stride;
+    const char* p = frame.base;
+    const char* const end = p + std::size_t(frame.count) * sizeof(float);
+    const char* const own = p + std::size_t(self) * sizeof(float);
+    const typename Frame::Query a(bounds, own, stride), b(bounds, own + sizeof(float), stride);
+    Simd::I least = Simd::set(kLargestBits);
+    const auto step = [&](Simd::Mask withoutA, Simd::Mask withoutB) {
+        const typename Frame::Candidates candidates(p, stride);
+        const Simd::F scoreA = a.score(candidates), scoreB = b.score(candidates);
+        least = Simd::min(least, Simd::min(Simd::bits(scoreA), Simd::bits(scoreB)));
+        take(numbersAt<Frame>(p, stride), Simd::movesign(scoreA) & ~withoutA,
+             Simd::movesign(scoreB) & ~withoutB);
+        p += kVectorBytes;
+    };
+    const char* const selfVector = p + std::size_t(self / Simd::kLanes) * kVectorBytes;
+    while (p < selfVector) step(0, 0);
+    const Simd::Mask selfA = Simd::Mask(1) << self % Simd::kLanes, selfB = selfA << 1 & kAllLanes;
+    step(selfA, selfB);
+    if (!selfB) step(0, 1); // the second query begins the next vector
+    while (p < end) step(0, 0);
+    return Simd::lessEqual(least, Simd::set(bounds.bandTop)) != 0;
+}
+
+// The same for one query: take(numbers, hits).
+template <typename Frame, typename Take>
+__attribute__((always_inline)) inline bool testQuery(const FilterBounds& bounds, const Frame& frame,
+                                                     std::uint32_t self, Take&& take)
+{
+    const std::size_t stride = frame.stride;
+    const char* p = frame.base;
+    const char* const selfVector = p + std::size_t(self / Simd::kLanes) * kVectorBytes;
+    const char* const end = p + std::size_t(frame.count) * sizeof(float);
+    const typename Frame::Query query(bounds, p + std::size_t(self) * sizeof(float), stride);
+    Simd::I least = Simd::set(kLargestBits);
+    const auto step = [&](Simd::Mask without) {
+        const Simd::F score = query.score(typename Frame::Candidates(p, stride));
+        least = Simd::min(least, Simd::bits(score));
+        take(numbersAt<Frame>(p, stride), Simd::movesign(score) & ~without);
+        p += kVectorBytes;
+    };
+    while (p < selfVector) step(0);
+    step(Simd::Mask(1) << self % Simd::kLanes);
+    while (p < end) step(0);
+    return Simd::lessEqual(least, Simd::set(bounds.bandTop)) != 0;
+}
+
+// testQuery() for a query that has candidates in the band: the exact test decides those. Hits go to row.take(numbers, hits);
+// returns the row. Rare, and apart, so that it takes no registers from the others: the row comes and goes by value, for the
+// same reason.
+template <typename Frame, typename Row>
+__attribute__((noinline)) Row testBand(const FilterBounds& bounds, Frame frame, std::uint32_t self,
+                                       const ExactPredicate& exact, TaskStatistics& statistics, Row row)
+{
+    const char* const own = frame.base + std::size_t(self) * sizeof(float);
+    const typename Frame::Query query(bounds, own, frame.stride);
+    const std::uint32_t number = *integers(own + Frame::kNumber * frame.stride);
+    for (std::size_t j = 0; j < frame.count; j += Simd::kLanes) {
+        const char* const p = frame.base + j * sizeof(float);
+        const Simd::F score = query.score(typename Frame::Candidates(p, frame.stride));
+        Simd::Mask hits = Simd::movesign(score);
+        if (j == self - self % Simd::kLanes) hits &= ~(Simd::Mask(1) << self % Simd::kLanes);
+        Simd::Mask band = hits & Simd::lessEqual(Simd::bits(score), Simd::set(bounds.bandTop));
+        for (; band; band &= band - 1) {
+            const unsigned lane = static_cast<unsigned>(__builtin_ctz(band));
+            ++statistics.bandPairs;
+            if (!exact.isNeighbor(exact.state, number, integers(p + Frame::kNumber * frame.stride)[lane])) {
+                hits &= ~(Simd::Mask(1) << lane);
+            }
+        }
+        row.take(numbersAt<Frame>(p, frame.stride), hits);
+    }
+    return row;
+}
+
+} // namespace
+} // namespace vdb_nns
