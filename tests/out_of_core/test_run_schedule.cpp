@@ -196,7 +196,7 @@ TEST(RunSchedule, AnyNumberOfThreadsDecidesTheSame)
 
 // ---- estimators that lie ---------------------------------------------------------------------------------------------
 
-Case lyingCase(const std::string& scene, double pairs)
+Case lyingCase(const char* scene, double pairs)
 {
     Case problem = sceneCase(scene);
     for (Work& leaf : problem.estimate.leaves) leaf.expectedPairs = pairs;
@@ -498,7 +498,7 @@ TEST(BlockImage, TakesTheBytesThatTheScheduleCounts)
 TEST(SimulatedDevice, HoldsItsBudgetToTheByte)
 {
     const Case& problem = sceneCase("sheet");
-    const SearchRun run(problem.grid.data(), {});
+    const SearchRun run(problem.grid.data(), problem.grid.data(), {});
     ThreadStates states;
     SimulatedDevice device("test", 1000, run, states);
     EXPECT_NE(device.allocate(400), nullptr);
