@@ -29,9 +29,9 @@ void printError(const Session& session, const std::string& message)
 
 int explainStop(int signal)
 {
-    const char* const name = signal == SIGHUP ? "SIGHUP" : signal == SIGTERM ? "SIGTERM" : "SIGINT";
-    say(std::string("stopped by ") + name);
-    return signal == SIGHUP ? kHungUp : signal == SIGTERM ? kTerminated : kInterrupted;
+    stopDeadline();
+    std::fputs(stopMessage(signal), stderr);
+    return stopCode(signal);
 }
 
 // The one place where exceptions become exit codes; called inside a catch block.

@@ -1,14 +1,20 @@
 #include "signals.h"
 
+#include "exit_codes.h"
 #include "vdb_nns/output.h"
 
 #include <atomic>
 #include <csignal>
+#include <cstring>
+#include <ctime>
+#include <unistd.h>
 
 namespace vdb_nns::cli {
 namespace {
 
 std::atomic<int> gStopSignal{0};
+timer_t gDeadline;
+bool gHasDeadline = false, gClearsLine = false; // set before any signal is handled
 static_assert(std::atomic<int>::is_always_lock_free, "a signal handler may only touch lock-free atomics");
 
 // Dies of the signal once the handler returns.
@@ -21,10 +27,31 @@ void killAtOnce(int signal)
     raise(signal);
 }
 
+// Ends the program where its steps have not stopped in time: they are in a library's code that asks nobody, or free what they
+// hold. Only calls that a signal handler may make.
+void endAtOnce(int)
+{
+    removeTemporaryFiles();
+    const int signal = gStopSignal;
+    const char* const text = stopMessage(signal);
+    if (gClearsLine) (void)!write(STDERR_FILENO, "\r\033[K", 4);
+    (void)!write(STDERR_FILENO, text, std::strlen(text));
+    _exit(stopCode(signal));
+}
+
+void setDeadline(long nanoseconds)
+{
+    itimerspec time = {};
+    time.it_value.tv_nsec = nanoseconds;
+    if (gHasDeadline) timer_settime(gDeadline, 0, &time, nullptr);
+}
+
 void askToStop(int signal)
 {
+    constexpr long kPatience = 200'000'000; // of the 0.3 s in which the program is to be gone
     int none = 0;
-    if (!gStopSignal.compare_exchange_strong(none, signal)) killAtOnce(signal);
+    if (!gStopSignal.compare_exchange_strong(none, signal)) return killAtOnce(signal);
+    setDeadline(kPatience);
 }
 
 void handle(int signal, void (*handler)(int))
@@ -46,6 +73,12 @@ bool isIgnored(int signal)
 
 void installSignalHandlers()
 {
+    gClearsLine = isatty(STDERR_FILENO);
+    sigevent event = {};
+    event.sigev_notify = SIGEV_SIGNAL;
+    event.sigev_signo = SIGRTMIN;
+    gHasDeadline = timer_create(CLOCK_MONOTONIC, &event, &gDeadline) == 0;
+    handle(SIGRTMIN, endAtOnce);
     // Also where a shell started us in the background with SIGINT ignored: whoever sends it by hand means it.
     handle(SIGINT, askToStop);
     handle(SIGTERM, askToStop);
@@ -61,6 +94,23 @@ void installSignalHandlers()
 int stopSignal()
 {
     return gStopSignal.load(std::memory_order_relaxed);
+}
+
+void stopDeadline()
+{
+    setDeadline(0);
+}
+
+const char* stopMessage(int signal)
+{
+    return signal == SIGHUP    ? "vdb_nns: stopped by SIGHUP\n"
+           : signal == SIGTERM ? "vdb_nns: stopped by SIGTERM\n"
+                               : "vdb_nns: stopped by SIGINT\n";
+}
+
+int stopCode(int signal)
+{
+    return signal == SIGHUP ? kHungUp : signal == SIGTERM ? kTerminated : kInterrupted;
 }
 
 } // namespace vdb_nns::cli
