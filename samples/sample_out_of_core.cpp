@@ -35,11 +35,15 @@ int main()
     const vdb_nns::WorkEstimate estimate = vdb_nns::estimateWork(grid, job.device.estimate);
     vdb_nns::WorkloadTreeOptions treeOptions;
     treeOptions.model = vdb_nns::memoryModel(job.device, vdb_nns::Encoding::kIndex, estimate);
-    treeOptions.nodeBytes = vdb_nns::nodeBytesFor(grid, estimate, treeOptions.model, job.device.devices);
+    treeOptions.nodeBytes =
+        vdb_nns::nodeBytesFor(grid, estimate, treeOptions.model, job.device.devices, job.device.schedule);
     const vdb_nns::WorkloadTree tree = vdb_nns::buildWorkloadTree(grid, estimate, treeOptions);
-    const vdb_nns::Schedule schedule = vdb_nns::makeSchedule(grid, tree, job.device.devices);
+    const vdb_nns::Schedule schedule =
+        vdb_nns::makeSchedule(grid, tree, job.device.devices, job.device.schedule);
+    vdb_nns::RunOptions runOptions;
+    runOptions.schedule = job.device.schedule;
     vdb_nns::ScheduleRun run;
-    const vdb_nns::NeighborLists same = engine.search(grid, schedule, job.device.devices, {}, run);
+    const vdb_nns::NeighborLists same = engine.search(grid, schedule, job.device.devices, runOptions, run);
 
     const std::uint64_t onTheCpu = vdb_nns::findNeighbors(view, scene.suggestedRadius).checksum();
     return lists.checksum() == onTheCpu && same.checksum() == onTheCpu ? 0 : 1;

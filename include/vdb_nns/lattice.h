@@ -9,8 +9,8 @@
 namespace vdb_nns {
 
 /// Cubic cells along the axes of world space, numbered by integer cell coordinates. A particle at the stored
-/// position p is in the cell floor(linear() * (p - reference) / cellSize) on each axis, but for the rounding
-/// of that.
+/// position p is in the cell floor(linear() * (p - reference) / cellSize) on each axis, up to
+/// rounding.
 ///
 /// Views can share a lattice if they have the same linear map and the same translation: arrays, or VDB grids
 /// with one transform.
@@ -21,7 +21,8 @@ struct Lattice {
     double cellSize = 1; ///< edge of a cell, world units
     int reach = 1;       ///< cells that the radius spans, 1 to 3
     /// The largest radius that a search in these cells may have, and the one that it has unless told
-    /// otherwise (SearchOptions::radius). World units, > 0, at most spanOfCells(cellSize, reach).
+    /// otherwise (SearchOptions::radius). World units, > 0, at most spanOfCells(cellSize, reach) up to rounding;
+    /// with `usesVoxels` below cellSize.
     double radius = 0;
     /// The cells are the voxels of VDB grids, with the coordinates of voxels: the leaves of a file are taken
     /// over, and nothing is sorted. Then `cellSize` is the edge of a voxel, `reach` is 1, `radius` is below
@@ -31,13 +32,13 @@ struct Lattice {
 
     friend bool operator==(const Lattice& a, const Lattice& b)
     {
-        return a.reference == b.reference && a.cellSize == b.cellSize && a.reach == b.reach &&
-               a.radius == b.radius && a.usesVoxels == b.usesVoxels;
+        return (a.reference == b.reference || a.usesVoxels) && a.cellSize == b.cellSize &&
+               a.reach == b.reach && a.radius == b.radius && a.usesVoxels == b.usesVoxels;
     }
     friend bool operator!=(const Lattice& a, const Lattice& b) { return !(a == b); }
 };
 
-/// The largest radius that so many cells surely span, whatever the rounding of coordinates: reach * cellSize
+/// The largest radius that `reach` cells are guaranteed to cover, rounding included: reach * cellSize
 /// / (1 + 2^-16).
 double spanOfCells(double cellSize, int reach);
 

@@ -99,8 +99,8 @@ enum class ListValues {
 /// or int64 past 2^31-1 particles; ascending in each row), data, shape (int64[2]) and format (|S3), each of
 /// which starts on a 64-byte boundary. Memory does not grow with the lists. The same lists give the same
 /// bytes.
-/// @throws OutputExists, OutputError (before anything is written, if the disk does not have the room),
-///         Cancelled
+/// @throws InvalidInput for counts alone; OutputExists, OutputError (before anything is written, if the disk
+///         does not have the room), Cancelled
 void writeNpz(const std::string& path, const NeighborLists& lists, ListValues values,
               const OutputOptions& options = {}, Progress* progress = nullptr);
 

@@ -111,16 +111,19 @@ public:
     /// buildGrid(), then search().
     NeighborLists findNeighbors(const ParticleView& view, double radius, const SearchOptions& options = {});
 
-    /// The whole job: on the CPU or on devices, under a bound of host memory, with another way of holding lists where the
-    /// first does not fit. The same lists, byte for byte, wherever they are found; what the program's `search` does.
-    /// With a bound of memory the engine starts afresh. A Progress is told of the steps "grid"; "estimate" and "plan" where
-    /// there are devices; "search".
-    /// @throws CapacityError when nothing that is allowed fits, with what takes the memory; DeviceError when a device fails
-    ///         under DeviceFailure::kStop; and as buildGrid() and makePlan(): InvalidInput, InputError, Cancelled
+    /// The whole job, as the program's `search` runs it: on the CPU or on devices, within a limit of host memory,
+    /// falling back to a smaller encoding if the lists do not fit. The same lists, byte for byte, wherever they
+    /// are found. If hostMemoryBytes is set, the engine first frees all it has kept, open devices included.
+    /// A Progress is told of the steps "grid"; "estimate" and "plan" where there are devices; "search".
+    /// @param options may be those of `report`
+    /// @throws CapacityError when nothing that is allowed fits, with what takes the memory; DeviceError when a
+    ///         device fails under DeviceFailure::kStop; and as buildGrid() and makePlan(): InvalidInput,
+    ///         InputError, Cancelled
     NeighborLists findNeighbors(const ParticleView& view, double radius, const JobOptions& options,
                                 JobReport& report);
 
-    /// Plans a job without running it, in full, also for the CPU alone.
+    /// Plans a job without running it, in full, also for the CPU alone. Whether lists fit the host is not looked
+    /// at, so no fallback is planned.
     /// @throws as the job
     JobPlan planJob(const ParticleView& view, double radius, const JobOptions& options);
 

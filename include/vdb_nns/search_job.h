@@ -1,5 +1,5 @@
-// A whole search in one call, from points to lists, as `vdb_nns search` runs it: on the CPU or on devices, under a bound of
-// host memory, and with another way of holding lists where the first does not fit.
+// A whole search in one call, from points to lists, as `vdb_nns search` runs it: on the CPU or on devices, within a limit of host
+// memory, falling back to a smaller encoding if the lists do not fit.
 #pragma once
 
 #include "vdb_nns/neighbor_lists.h"
@@ -25,36 +25,38 @@ struct WrittenKinds {
 
 struct JobOptions {
     /// `encoding`: how lists are to be held. `hostMemoryBytes`: the most that the process may have resident, points and writers
-    /// included; 0: no bound but what is free, less what the threads and the writers need.
+    /// included; 0: the free memory, less a reserve for threads and writers.
     SearchOptions search;
+    /// `estimate.radius` is not read: it is search.radius.
     DeviceOptions device;
     WrittenKinds written;
     /// Masks may take the place of index lists that do not fit, with the same pairs.
     bool mayUseMasks = false;
-    /// The lists are made for an .npz alone: where none fit, counts are made, and writeJobNpz() makes the rows again as it
-    /// writes them.
+    /// Nobody reads the lists but writeJobNpz() and counts. Where index lists do not fit, only counts are kept, and the rows are
+    /// found again as the file is written. If particles are not numbered along space, masks are tried first (mayUseMasks).
     bool mayStream = false;
 };
 
-/// What a job did.
+/// What a job did. If it throws, `notes`, `settled` and `gridSeconds` tell how far it came; the rest is unspecified.
 struct JobReport {
-    double gridSeconds = 0, searchSeconds = 0; ///< without planning
-    std::optional<Plan> plan;                  ///< where there are devices
-    std::optional<ScheduleRun> run;            ///< where there are devices
-    bool streamed = false;                     ///< the lists hold counts alone; see JobOptions::mayStream
-    std::uint64_t streamBufferBytes = 0;       ///< for streamNpz()
+    double gridSeconds = 0;              ///< of all grids that were made
+    double searchSeconds = 0;            ///< of all tries, without grids and plans
+    std::optional<Plan> plan;            ///< of the last try; empty without devices
+    std::optional<ScheduleRun> run;      ///< of the last try; empty without devices
+    bool streamed = false;               ///< the lists hold counts alone; see JobOptions::mayStream
+    std::uint64_t streamBufferBytes = 0; ///< for streamNpz()
     /// The options that it ended with. The next search of points like these starts there without trying what did not fit.
     JobOptions settled;
     /// What did not fit and what was done instead, a sentence each.
     std::vector<std::string> notes;
 };
 
-/// The job by an engine of its own, for lists that are wanted once; see SearchEngine::findNeighbors().
+/// Runs the job with a temporary engine; see SearchEngine::findNeighbors().
 /// @throws as that
 NeighborLists findNeighbors(const ParticleView& view, double radius, const JobOptions& options,
                             JobReport& report);
 
-/// What a job would do: its grid, and the plan in full, also for the CPU alone.
+/// What a job would do first: its grid, and the plan in full, also for the CPU alone.
 struct JobPlan {
     SparseGrid grid;
     Plan plan;
@@ -64,7 +66,7 @@ struct JobPlan {
 /// Writes the lists of a job as .npz: writeNpz(), or streamNpz() where they are counts alone.
 /// @param engine that made `lists`, or another that runs no search
 /// @param report of the job that made `lists`
-/// @throws as those
+/// @throws as those; InvalidInput for counts that the report does not say to stream
 void writeJobNpz(const std::string& path, SearchEngine& engine, const NeighborLists& lists,
                  const JobReport& report, ListValues values, const OutputOptions& output);
 

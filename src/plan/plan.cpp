@@ -57,7 +57,8 @@ void findBounds(const SparseGrid& grid, Plan& plan)
 WorkEstimate estimateFor(const SparseGrid& grid, const DeviceOptions& options, Encoding encoding,
                          PlanDetail detail, Progress& progress)
 {
-    const bool mayBeOne = options.devices.size() == 1 && options.schedule.blockLog2Cells == 0;
+    const bool mayBeOne =
+        options.devices.size() == 1 && options.schedule.blockLog2Cells == 0 && !options.margin;
     if (detail == PlanDetail::kAsNeeded && mayBeOne && options.estimate.estimator == Estimator::kExpected) {
         EstimateOptions rough;
         rough.estimator = Estimator::kProbed;
@@ -69,7 +70,7 @@ WorkEstimate estimateFor(const SparseGrid& grid, const DeviceOptions& options, E
     EstimateOptions estimate = options.estimate;
     estimate.progress = &progress;
     // Only the room for index lists rests on the number of pairs.
-    estimate.correctCrowding = detail == PlanDetail::kFull || encoding == Encoding::kIndex;
+    estimate.correctCrowding &= detail == PlanDetail::kFull || encoding == Encoding::kIndex;
     return estimateWork(grid, estimate);
 }
 

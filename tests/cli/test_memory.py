@@ -254,7 +254,7 @@ class WideCells(CliCase):
         size -= 30 # what a process maps is not the same each time; between the two kinds of masks lie some 80 MB
         self.assertEqual((code(size, "--cell-size", "3"), code(size, "--cell-size", "1")), (4, 0))
         done = self.succeeds(*search, preexec_fn=limit_address_space(size * MB))
-        self.assertRegex(done.err, "cells of the radius are taken instead")
+        self.assertRegex(done.err, "the grid is made again in cells of the radius")
         with open(self.path("r.json")) as file:
             found = json.load(file)
         self.assertEqual(found["result"], free["result"])

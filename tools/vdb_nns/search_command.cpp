@@ -169,7 +169,6 @@ NeighborLists runJobs(SearchEngine& engine, const ParticleView& view, const Sear
     std::vector<double> gridSeconds, searchSeconds;
     JobOptions options = plan.job;
     NeighborLists lists;
-    bool streamed = false;
     for (std::uint64_t run = 0; run < plan.repeat; ++run) {
         lists = NeighborLists(); // frees what the engine may use again
         const double step = kSearchShare / static_cast<double>(plan.repeat);
@@ -188,12 +187,10 @@ NeighborLists runJobs(SearchEngine& engine, const ParticleView& view, const Sear
             throw;
         }
         tell();
-        streamed |= job.streamed;
         options = job.settled;
         gridSeconds.push_back(job.gridSeconds);
         searchSeconds.push_back(job.searchSeconds);
     }
-    job.streamed = streamed;
     job.settled.search.progress = &progress;
     SecondsReport& seconds = report.seconds;
     seconds.firstGrid = gridSeconds.front();

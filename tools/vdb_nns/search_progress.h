@@ -30,9 +30,9 @@ private:
         const std::lock_guard<std::mutex> lock(mMutex);
         const char* const current = mStep;
         if (current && std::strcmp(current, step) == 0) return; // another thread was first
-        constexpr double kShare = 1.0 / 3;
-        const bool isLast = std::strcmp(step, "search") == 0;
-        const double end = isLast ? mSpan.end : mSpan.begin + kShare * (mSpan.end - mSpan.begin);
+        // A search that does not fit is followed by other steps, and another search.
+        const double share = std::strcmp(step, "search") == 0 ? 0.9 : 1.0 / 3;
+        const double end = mSpan.begin + share * (mSpan.end - mSpan.begin);
         mSpan.printer.begin(step, mSpan.begin, end);
         mSpan.begin = end;
         mStep = step;

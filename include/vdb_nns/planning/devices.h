@@ -18,10 +18,10 @@ struct DeviceOptions {
     ScheduleOptions schedule;
     DeviceFailure onFailure = DeviceFailure::kStop;
     double auxNeighbors = 0;      ///< MemoryModel::auxNeighbors
-    std::optional<double> margin; ///< MemoryModel::margin; none: from the error that the estimate measured
+    std::optional<double> margin; ///< MemoryModel::margin; none: from the error that the estimate measures
 };
 
-/// Takes an estimator, with the room beyond its estimate that belongs to it: the paper's 3.7 neighbors a particle with the
+/// Sets the estimator and the reserve that suits it: the paper's 3.7 neighbors a particle with the
 /// paper's estimate, none where the count is exact or fixed, else what the estimate's own error asks for.
 void useEstimator(DeviceOptions& options, Estimator estimator);
 

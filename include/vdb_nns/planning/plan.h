@@ -17,7 +17,7 @@ struct Plan {
     std::vector<DeviceLimits> devices;
     Schedule schedule;
     Estimator estimator = Estimator::kExpected;
-    Work total;
+    Work total; ///< with Estimator::kProbed all of it is extrapolated from 32 leaves, tests and masks too
     double correction = 1;            ///< WorkEstimate::correction
     std::uint64_t countedQueries = 0; ///< WorkEstimate::countedQueries
     BlockBytes everything;            ///< of all particles as one block
@@ -33,6 +33,8 @@ enum class PlanDetail {
 };
 
 /// Plans a search of `grid`.
+/// @param options `estimate.progress` is not read. Where everything fits one device by a rough estimate with room to spare, and
+///        no margin is given, that estimate is taken, and only as much of the rest as a run needs.
 /// @param progress told of the steps "estimate" and "plan"; may be null
 /// Cost: see estimateWork(), buildWorkloadTree() and makeSchedule(), whose options say what each step does.
 /// @throws as those; Cancelled

@@ -122,10 +122,10 @@ void checkMasks()
     EXPECT_EQ(lists.encoding(), Encoding::kMask);
     EXPECT_EQ(lists.checksum(), checksum);
     ASSERT_EQ(report.notes.size(), 1u);
-    EXPECT_NE(report.notes[0].find("held as masks instead"), std::string::npos) << report.notes[0];
-    // The next one starts where this ended.
-    JobReport next;
-    EXPECT_EQ(engine.findNeighbors(view, scene.suggestedRadius, report.settled, next).encoding(),
+    EXPECT_NE(report.notes[0].find("lists are held as masks instead"), std::string::npos) << report.notes[0];
+    // The next one starts where this ended, also in the same report.
+    JobReport next = report;
+    EXPECT_EQ(engine.findNeighbors(view, scene.suggestedRadius, next.settled, next).encoding(),
               Encoding::kMask);
     EXPECT_TRUE(next.notes.empty());
 }
@@ -167,6 +167,13 @@ void checkStreaming()
         std::fclose(file);
         return bytes;
     };
+    EXPECT_TRUE(bytesOf(held) == bytesOf(streamed));
+    // The next one streams too, at once, and by now the process has more than before.
+    report.settled.search.hostMemoryBytes = residentAnd(std::uint64_t(20) << 20);
+    const NeighborLists again = engine.findNeighbors(view, scene.suggestedRadius, report.settled, report);
+    EXPECT_TRUE(report.streamed);
+    EXPECT_TRUE(report.notes.empty());
+    writeJobNpz(streamed, engine, again, report, ListValues::kConnectivity, {true});
     EXPECT_TRUE(bytesOf(held) == bytesOf(streamed));
     std::remove(held.c_str());
     std::remove(streamed.c_str());

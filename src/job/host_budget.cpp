@@ -1,4 +1,5 @@
-#include "plan/host_budget.h"
+// What each step of a job holds, in bytes, and what is left of the bound for it.
+#include "job/host_budget.h"
 
 #include "vdb_nns/memory.h"
 #include "vdb_nns/particle_view.h"
@@ -59,11 +60,12 @@ void HostBudget::begin()
 
 void HostBudget::beginLists(const SparseGrid& grid, std::uint64_t reusableBytes)
 {
+    mHasGrid = true;
     if (isBounded()) return;
     mFreeBytes = difference(availableMemoryBytes() + grid.bytes() + reusableBytes, mReserveBytes);
 }
 
-// Of the outputs, which are written one after the other, the largest need. Without lists an .npz is written directly.
+// Of the outputs, which are written one after the other, the largest need. Without lists the rows of an .npz are streamed.
 std::uint64_t HostBudget::writerBytes(std::uint64_t points, Encoding encoding) const
 {
     const std::uint64_t npz =
@@ -100,8 +102,8 @@ std::uint64_t HostBudget::bufferBytes(const SparseGrid& grid) const
 std::string HostBudget::explanation() const
 {
     if (!isBounded()) {
-        if (mFreeBytes == 0) return {}; // before there was a grid
-        return " (of the memory that is free beside the program, the points and the grid, " +
+        if (!mHasGrid) return {};
+        return " (of the memory that is free beside the program and the points, " +
                std::to_string(mReserveBytes) + " are kept for the threads and for what arrays lose)";
     }
     return " (of the host memory allowed, which is " + std::to_string(mBoundBytes) +

@@ -2,7 +2,7 @@
 // that one. On devices each try is planned anew.
 #include "vdb_nns/search_job.h"
 
-#include "plan/host_budget.h"
+#include "job/host_budget.h"
 #include "search/engine_state.h"
 #include "util/sole_owner.h"
 #include "util/wall_clock.h"
@@ -39,26 +39,31 @@ bool hasWideCells(const SparseGrid& grid, const JobOptions& options)
     return options.search.cellSize == 0 && grid.cellSize() > 1.01 * grid.radius();
 }
 
+// Whether the lists are counts, and their rows are made again as they are written.
+bool isStreamed(const JobOptions& options)
+{
+    return options.mayStream && options.search.encoding == Encoding::kNone;
+}
+
 // Takes less memory with the same output. Rows that go straight to an .npz are the fastest where their order is about that of
 // the file; else masks, which take a quarter of the memory or less, in cells of the radius where wider ones are too much. Says
 // what is done instead; empty: nothing is left.
-std::string takeLess(const SparseGrid& grid, JobOptions& options, bool& streamed)
+std::string takeLess(const SparseGrid& grid, JobOptions& options)
 {
     const Encoding encoding = options.search.encoding;
     if (encoding == Encoding::kMask && hasWideCells(grid, options)) {
         options.search.cellSize = 1;
-        return "cells of the radius are taken instead";
+        return "the grid is made again in cells of the radius";
     }
     const bool mayStream = options.mayStream && encoding != Encoding::kNone;
     if (options.mayUseMasks && encoding == Encoding::kIndex && !(mayStream && isNumberedAlongSpace(grid))) {
         options.search.encoding = Encoding::kMask;
         if (hasWideCells(grid, options)) options.search.cellSize = 1;
-        return "they are held as masks instead";
+        return "lists are held as masks instead";
     }
     if (!mayStream) return {};
     options.search.encoding = Encoding::kNone;
-    streamed = true;
-    return "rows go straight to the file instead";
+    return "no lists are held, and rows go straight to the file instead";
 }
 
 // The engine, the job and what it has come to so far.
@@ -70,21 +75,24 @@ public:
           mBudget(options.search.hostMemoryBytes, tbb::this_task_arena::max_concurrency(), options.written),
           mReport(report)
     {
+        JobOptions settled = options; // which may be those of the report
         mReport = JobReport();
-        mReport.settled = options;
+        mReport.settled = std::move(settled);
         // Masks are sent over the link.
-        mReport.settled.search.wideCells &= options.device.devices.empty();
-        mReport.settled.device.estimate.radius = options.search.radius;
+        mReport.settled.search.wideCells &= mReport.settled.device.devices.empty();
+        mReport.settled.device.estimate.radius = mReport.settled.search.radius;
     }
 
     NeighborLists run(const ParticleView& view, double radius)
     {
         return mBudget.explained([&] {
             SparseGrid grid = makeGrid(view, radius);
-            const double start = wallSeconds();
+            const double start = wallSeconds(), gridSeconds = mReport.gridSeconds;
             mBudget.beginLists(grid, reusableBytes());
             const NeighborLists lists = search(std::move(grid));
-            mReport.searchSeconds = wallSeconds() - start - mPlanningSeconds;
+            const double otherSeconds = mPlanningSeconds + mReport.gridSeconds - gridSeconds;
+            mReport.searchSeconds = wallSeconds() - start - otherSeconds;
+            mReport.streamed = isStreamed(mReport.settled);
             mReport.streamBufferBytes = mBudget.bufferBytes(lists.grid());
             return lists;
         });
@@ -127,7 +135,7 @@ private:
                 return searchOnDevices(grid, search);
             } catch (const CapacityError& error) {
                 const double cellSize = options.search.cellSize;
-                const std::string instead = takeLess(grid, options, mReport.streamed);
+                const std::string instead = takeLess(grid, options);
                 if (instead.empty()) throw;
                 mReport.notes.push_back(error.what() + ("; " + instead));
                 if (options.search.cellSize != cellSize) grid = narrowGrid(std::move(grid));
@@ -139,7 +147,7 @@ private:
     {
         const DeviceOptions& device = mReport.settled.device;
         mReport.plan = makePlan(grid, device, search.encoding, PlanDetail::kAsNeeded, search.progress);
-        mPlanningSeconds = mReport.plan->estimateSeconds + mReport.plan->planSeconds;
+        mPlanningSeconds += mReport.plan->estimateSeconds + mReport.plan->planSeconds;
         RunOptions run;
         run.search = search;
         run.schedule = device.schedule;
@@ -155,7 +163,9 @@ private:
         const double radius = grid.radius();
         grid = SparseGrid();
         forget(); // memory was short
-        return mEngine.buildGrid(view, radius, mReport.settled.search);
+        SparseGrid narrow = makeGrid(view, radius);
+        mBudget.beginLists(narrow, 0);
+        return narrow;
     }
 
     void forget() { mState = EngineState(); }
@@ -175,7 +185,7 @@ private:
     EngineState& mState;
     HostBudget mBudget;
     JobReport& mReport;
-    double mPlanningSeconds = 0;
+    double mPlanningSeconds = 0; // of all tries
 };
 
 } // namespace

@@ -23,7 +23,7 @@ public:
     // SearchOptions::hostMemoryBytes while the grid is made.
     std::uint64_t gridBytes() const { return isBounded() ? mFreeBytes : 0; }
 
-    // Without a bound: takes what is free now beside the grid, and what the engine can use again.
+    // Without a bound: takes what is free now, the grid's memory, and what the engine can use again.
     void beginLists(const SparseGrid& grid, std::uint64_t reusableBytes);
 
     // SearchOptions::hostMemoryBytes while lists are made. Throws CapacityError for counts that do not fit; of other lists the
@@ -51,6 +51,7 @@ private:
     std::uint64_t mBoundBytes, mThreads;
     WrittenKinds mWritten;
     std::uint64_t mUsedBytes = 0, mReserveBytes = 0, mFreeBytes = 0;
+    bool mHasGrid = false;
 };
 
 } // namespace vdb_nns
