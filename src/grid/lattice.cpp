@@ -1,3 +1,4 @@
+// Lattices made and checked, and what their messages say.
 #include "grid/lattice.h"
 
 #include "vdb_nns/error.h"

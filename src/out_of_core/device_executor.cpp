@@ -1,3 +1,4 @@
+// The steps of a block in flight, and what becomes of one that fails.
 #include "out_of_core/device_executor.h"
 
 #include "util/wall_clock.h"

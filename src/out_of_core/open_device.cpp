@@ -1,3 +1,4 @@
+// The one place that knows which class stands for which kind of device; and devices kept open from run to run.
 #include "out_of_core/open_device.h"
 
 #include "cuda/launch.h"

@@ -1,3 +1,4 @@
+// Work and bytes of all leaves, taken from some of them.
 #include "plan/occupancy_sample.h"
 
 #include "grid/lattice.h"
