@@ -1,4 +1,4 @@
-// Which lattice a set of particles gets: the voxels of its file, or cells as large as their density asks for.
+// Which lattices are offered for a radius, and in what order.
 #include "grid/lattice_choice.h"
 
 #include "grid/cell_map.h"

@@ -1,4 +1,4 @@
-// The steps of a block in flight, and what becomes of one that fails.
+// How the buffers of a device are opened, and the steps of a block in flight.
 #include "out_of_core/device_executor.h"
 
 #include "util/wall_clock.h"

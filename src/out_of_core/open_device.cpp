@@ -1,4 +1,4 @@
-// The one place that knows which class stands for which kind of device; and devices kept open from run to run.
+// Opens devices by their kind, and finds the CUDA devices that this machine has.
 #include "out_of_core/open_device.h"
 
 #include "cuda/launch.h"

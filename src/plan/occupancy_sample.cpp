@@ -1,4 +1,4 @@
-// Work and bytes of all leaves, taken from some of them.
+// The work of some leaves, counted from their cells, and its mean for all.
 #include "plan/occupancy_sample.h"
 
 #include "grid/lattice.h"

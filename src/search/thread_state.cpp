@@ -1,4 +1,4 @@
-// The memory of one thread of a search: how it grows, and how rows are handed to a callback.
+// The chunks that rows live in, the memory of one thread and how it grows, and how rows reach a callback.
 #include "search/thread_state.h"
 
 #include <algorithm>
