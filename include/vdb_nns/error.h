@@ -7,8 +7,8 @@
 
 namespace vdb_nns {
 
-/// Base of everything that the library throws on purpose. `what()` names the number that broke, the limit and
-/// the next step.
+/// Base of everything that the library throws on purpose. `what()` names the value that was out of
+/// bounds, the limit and the next step.
 class Error : public std::runtime_error {
 public:
     using std::runtime_error::runtime_error;

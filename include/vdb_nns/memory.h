@@ -17,8 +17,8 @@ std::uint64_t residentMemoryBytes();
 /// The most that it has had resident since it began.
 std::uint64_t peakMemoryBytes();
 
-/// Gives memory that the process has freed back to the system, and large blocks from now on as soon as they are freed (glibc;
-/// elsewhere nothing). A bound on resident memory that is taken over from earlier work needs it.
+/// Returns freed memory to the system, and makes later large blocks go back as soon as they are freed (glibc
+/// only). Call it before measuring resident memory; otherwise memory that earlier work has freed still counts.
 void returnFreedMemory();
 
 } // namespace vdb_nns

@@ -48,7 +48,7 @@ struct PointFileOptions {
     /// compressed, reading it may take more.
     std::uint64_t hostMemoryBytes = 0;
 
-    /// Told how far reading is, and asked whether to stop; may be null.
+    /// Receives progress and may cancel; may be null.
     Progress* progress = nullptr;
 };
 

@@ -1,4 +1,4 @@
-// How long steps report their progress and are stopped.
+// How a long-running step reports progress and is cancelled.
 #pragma once
 
 namespace vdb_nns {

@@ -59,7 +59,7 @@ struct SearchOptions {
     /// group) has free, less a reserve (availableMemoryBytes()).
     std::uint64_t hostMemoryBytes = 0;
 
-    /// Told how far a step is, and asked whether to stop; may be null.
+    /// Receives progress and may cancel; may be null.
     Progress* progress = nullptr;
 };
 

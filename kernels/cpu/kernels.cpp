@@ -1,4 +1,5 @@
-// Which instruction set runs. See kernels.h.
+// Asks the processor which instruction sets it has, and chooses the kernels of one. Compiled without flags of its own: it
+// runs before anything is known.
 #include "cpu/kernels.h"
 
 #include "vdb_nns/search.h"

@@ -1,4 +1,4 @@
-// The kernels with AVX512. Compiled with the flags of that instruction set; see simd.h.
+// The kernels with AVX-512 (F, BW, VL, DQ). Compiled with their flags, so nothing but kernelsFor() may lead here; see simd.h.
 #define VDB_NNS_SIMD_AVX512
 #include "cpu/expect_cells-inl.h"
 #include "cpu/kernels.h"

@@ -3,15 +3,18 @@
 //
 // A consumer has, see consume_count-inl.h for the smallest:
 //
-//   static constexpr bool kByCandidate      rows need scratch.keepBits() and all candidates of the cells in reach in their
-//                                           place: then sparse leaves are searched like others
+//   static constexpr bool kByCandidate      rows have a place for every candidate of the cells in reach, kept by the ball
+//                                           filter or not: `queries.candidates` of them. scratch.keepBits() then says which
+//                                           are kept, and sparse leaves are searched like others
 //   Consumer(HaloScratch&, RowSink&)        once for a task
-//   void reserve(words)                     if kByCandidate: room for rows of so many 32-bit words, before all else
+//   void reserve(words)                     if kByCandidate: room for rows of so many 32-bit words. Before the first row of a
+//                                           task; if it has task.cells, before the rows of each of these cells
 //   void finish()                           once for a task, after its last row
 //
 //   struct Row                              one row in the making: a few words, copied freely, so that they stay in registers
-//     void take(numbers, hits)              a vector of candidates: their numbers, and a bit for each that is a neighbor.
-//                                           Lanes without a bit hold anything
+//     void take(numbers, hits)              a vector of candidates: their numbers, and a bit for each that is a neighbor; the
+//                                           query itself never is one. Lanes without a bit hold anything. It may write whole
+//                                           vectors: a row then touches up to `tested` + Simd::kLanes entries
 //
 //   struct Group                            a run of queries; lives in the loop, for the same reason
 //     Group(Consumer&, queries, tested)     `tested`: candidates that a row takes
@@ -22,7 +25,11 @@
 //     std::uint32_t endPair(a, b)           both rows are
 //     void finish()                         the last row has ended
 //
-// Rows end in the order of slots, each once.
+// Rows end in the order of slots, each once. Of the sink:
+//
+//   rowCount[slot - slotBase]               every consumer writes it for every row: lists of all encodings are finished by it
+//   grow()                                  may hand out the rows before `nextSlot` and reuse their memory (Kernels::visit):
+//                                           a consumer of that kind sets nextSlot as each row ends
 #pragma once
 
 #include "cpu/cell_queries-inl.h"

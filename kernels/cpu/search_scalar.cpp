@@ -1,4 +1,4 @@
-// The kernels in plain C++. Compiled with the flags of that instruction set; see simd.h.
+// The kernels in plain C++, for processors without SSE4. Compiled without flags of its own; see simd.h.
 #include "cpu/expect_cells-inl.h"
 #include "cpu/kernels.h"
 #include "cpu/locate_axis-inl.h"

@@ -1,4 +1,4 @@
-// The kernels with SSE4. Compiled with the flags of that instruction set; see simd.h.
+// The kernels with SSE4.1. Compiled with its flag, so nothing but kernelsFor() may lead here; see simd.h.
 #define VDB_NNS_SIMD_SSE4
 #include "cpu/expect_cells-inl.h"
 #include "cpu/kernels.h"

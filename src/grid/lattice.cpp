@@ -1,9 +1,10 @@
+// How a lattice follows from a radius, and which lattices and radii are refused.
 #include "grid/lattice.h"
 
+#include "util/number_text.h"
 #include "vdb_nns/error.h"
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <limits>
 #include <string>
@@ -16,12 +17,6 @@ namespace {
 constexpr double kRounding = 1e-12;
 
 } // namespace
-
-std::string shortest(double value)
-{
-    char text[32];
-    return {text, std::to_chars(text, text + sizeof text, value).ptr};
-}
 
 double spanOfCells(double cellSize, int reach)
 {

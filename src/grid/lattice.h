@@ -12,8 +12,6 @@
 #include "points/particle_source.h"
 #include "vdb_nns/lattice.h"
 
-#include <string>
-
 namespace vdb_nns {
 
 constexpr double kCellPadding = 1.0 / 65536;
@@ -59,9 +57,6 @@ void checkLattice(const Lattice& lattice);
 
 // The radius of a search that was asked for `radius`, 0 for the lattice's. Throws InvalidInput above that.
 double searchRadius(const Lattice& lattice, double radius);
-
-// The fewest digits that mean the number, for messages.
-std::string shortest(double value);
 
 // Whether cells of one lattice are the same cells for both: whether their stored coordinates mean the same.
 bool haveSameCoordinates(const ParticleSource& a, const ParticleSource& b);

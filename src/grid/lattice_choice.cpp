@@ -1,3 +1,4 @@
+// Which lattices are offered for a radius, and in what order.
 #include "grid/lattice_choice.h"
 
 #include "grid/cell_map.h"

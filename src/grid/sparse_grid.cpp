@@ -16,6 +16,7 @@
 #include "grid/sparse_grid_data.h"
 #include "points/particle_source.h"
 #include "util/cancel.h"
+#include "util/number_text.h"
 #include "vdb_nns/error.h"
 
 #include <tbb/parallel_for.h>

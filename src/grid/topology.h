@@ -13,7 +13,7 @@ namespace vdb_nns {
 
 // Leaf indices around a leaf: [(dx+1)*9 + (dy+1)*3 + (dz+1)], kNoLeaf where nothing is; [kOwnLeaf] is the leaf itself.
 struct LeafNeighborhood {
-    std::uint32_t leaf[27];
+    std::uint32_t leaf[kLeavesAround];
 };
 
 class Topology {

@@ -68,7 +68,7 @@ private:
 };
 
 // What all threads share.
-struct DirectFile {
+struct StreamedFile {
     OutputFile& file;
     const NpzRowSource& source;
     const RowPlaces& places;
@@ -80,7 +80,7 @@ struct DirectFile {
 // Gathers rows in the order of the file, and writes what follows without a gap.
 class RunWriter {
 public:
-    explicit RunWriter(const DirectFile& shared) : mShared(shared) {}
+    explicit RunWriter(const StreamedFile& shared) : mShared(shared) {}
 
     // `place`: pairs of the file before the row; `numbers` ascend.
     void add(std::uint32_t row, std::uint64_t place, const std::uint32_t* numbers, std::uint32_t count)
@@ -144,7 +144,7 @@ private:
         return crcShare(crcOf(0, data, bytes), member.valueBytes - offset - bytes);
     }
 
-    const DirectFile& mShared;
+    const StreamedFile& mShared;
     std::vector<std::uint32_t> mIndices;
     std::vector<std::int64_t> mWide; // instead, past 2^31-1 rows
     std::vector<float> mDistances;
@@ -157,7 +157,7 @@ private:
 // The rows that one thread has made and not yet written. Numbers grow from the front of the buffer, rows from its end.
 class RowCollector {
 public:
-    RowCollector(const DirectFile& shared, std::size_t bytes)
+    RowCollector(const StreamedFile& shared, std::size_t bytes)
         : mShared(shared), mWriter(shared), mEntries(bytes / sizeof(std::uint32_t))
     {
         mBuffer = PageBlock(mEntries * sizeof(std::uint32_t));
@@ -222,7 +222,7 @@ private:
     Row* lastRow() const { return reinterpret_cast<Row*>(values() + mEntries); }
     Row* firstRow() const { return lastRow() - mRows; }
 
-    const DirectFile& mShared;
+    const StreamedFile& mShared;
     RunWriter mWriter;
     PageBlock mBuffer;
     std::size_t mEntries; // of 4 bytes
@@ -271,7 +271,7 @@ void writeOnes(OutputFile& file, NpzMember& data, const CancelCheck& cancel)
     data.crc = crcJoined(data.crc, crcOfOnes(data.valueBytes), data.valueBytes);
 }
 
-void writeRows(const DirectFile& shared, NpzLayout& layout, std::size_t threadBytes, Progress* progress)
+void writeRows(const StreamedFile& shared, NpzLayout& layout, std::size_t threadBytes, Progress* progress)
 {
     tbb::enumerable_thread_specific<RowCollector> collectors(
         [&] { return RowCollector(shared, threadBytes); });
@@ -332,7 +332,7 @@ private:
 
 } // namespace
 
-void writeNpzRowsDirect(const std::string& path, const NpzRowSource& source, ListValues values,
+void streamNpzRows(const std::string& path, const NpzRowSource& source, ListValues values,
                         const OutputOptions& output, std::size_t threadBytes, Progress* progress)
 {
     const CancelCheck cancel(progress, "write");
@@ -359,7 +359,7 @@ void streamNpz(const std::string& path, SearchEngine& engine, const NeighborList
     const auto threads = static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());
     const std::uint64_t threadBytes =
         bufferBytes ? std::min(bufferBytes / threads, kMostThreadBytes) : kThreadBytes;
-    writeNpzRowsDirect(path, SearchRows(engine, counts, options), values, output,
+    streamNpzRows(path, SearchRows(engine, counts, options), values, output,
                        static_cast<std::size_t>(threadBytes), options.progress);
 }
 

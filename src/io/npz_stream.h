@@ -24,7 +24,7 @@ public:
 };
 
 // streamNpz() of point_file.h for rows of any origin. A thread collects `threadBytes` of rows before it writes them.
-void writeNpzRowsDirect(const std::string& path, const NpzRowSource& source, ListValues values,
+void streamNpzRows(const std::string& path, const NpzRowSource& source, ListValues values,
                         const OutputOptions& output, std::size_t threadBytes, Progress* progress);
 
 } // namespace vdb_nns

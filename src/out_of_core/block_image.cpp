@@ -189,12 +189,12 @@ private:
                 mGrid.topology.neighborhoods({&mGrid.leafOrigins[l], std::min(kAtOnce, mPart.endLeaf - l)},
                                              neighborhoods);
             }
-            for (int n = 0; n < 27; ++n) out[n] = leafOf(neighborhoods[at].leaf[n]);
-            out[27] = kNoLeaf;
+            for (int n = 0; n < kLeavesAround; ++n) out[n] = leafOf(neighborhoods[at].leaf[n]);
+            out[kLeavesAround] = kNoLeaf;
             if (without == mPart.without.end() || without->leaf != l) continue;
             std::uint64_t* const cells = here<std::uint64_t>(mLayout.cells) + std::size_t(sets) * 8;
             for (int x = 0; x < 8; ++x) cells[x] = mGrid.leaves[l].occupancy[x] & ~without->cells[x];
-            out[27] = sets++;
+            out[kLeavesAround] = sets++;
             ++without;
         }
     }

@@ -1,3 +1,4 @@
+// How the buffers of a device are opened, and the steps of a block in flight.
 #include "out_of_core/device_executor.h"
 
 #include "util/wall_clock.h"

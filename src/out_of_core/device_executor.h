@@ -82,7 +82,7 @@ public:
     std::uint64_t bufferBytes() const { return mBufferBytes; }
     std::uint64_t halvings() const { return mHalvings; } // of what was asked for
 
-    // The device itself, once nothing flies; after that, only what has been measured is left.
+    // The device itself, once no block is in flight; after that, only what has been measured is left.
     std::unique_ptr<BlockDevice> close() { return std::move(mDevice); }
 
     // One that could not be opened, a null device, has no buffers, and no times of its own.

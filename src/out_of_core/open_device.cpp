@@ -1,3 +1,4 @@
+// Opens devices by their kind, and finds the CUDA devices that this machine has.
 #include "out_of_core/open_device.h"
 
 #include "cuda/launch.h"

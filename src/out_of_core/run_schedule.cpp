@@ -42,7 +42,7 @@ std::uint64_t budgetOf(const Schedule& schedule, const DeviceLimits& device)
 }
 
 // Each buffer as large as the largest block of the schedule that may go to the device.
-BufferNeed slotNeedOf(const Schedule& schedule, const DeviceLimits& device)
+BufferNeed bufferNeedOf(const Schedule& schedule, const DeviceLimits& device)
 {
     BufferNeed need;
     for (const Block& block : schedule.blocks) {
@@ -58,7 +58,7 @@ std::uint64_t hostBytesOf(const Schedule& schedule, const std::vector<DeviceLimi
 {
     std::uint64_t bytes = 0;
     for (const DeviceLimits& device : devices) {
-        const BufferNeed need = slotNeedOf(schedule, device);
+        const BufferNeed need = bufferNeedOf(schedule, device);
         bytes += need.buffers * need.bytes * (device.kind == DeviceKind::kSim ? 2 : 1);
     }
     return bytes;
@@ -174,7 +174,7 @@ void ScheduleRunner::openDevices(const std::vector<DeviceLimits>& devices, const
         DeviceExecutor& device =
             mDevices.emplace_back(std::move(known), DeviceContext{mEngine, mRun, mSchedule.model, mCollector,
                                                                   mCpu, mProgress, mJobs});
-        openBuffers(device, slotNeedOf(mSchedule, limits), report);
+        openBuffers(device, bufferNeedOf(mSchedule, limits), report);
         budgets.push_back(device.bufferBytes());
         mLimits.push_back(limits);
         mLimits.back().buffers = std::max(1, static_cast<int>(device.bufferCount()));
@@ -311,7 +311,7 @@ void ScheduleRunner::settleFull()
     }
 }
 
-// False when nothing flies.
+// False when no block is in flight.
 bool ScheduleRunner::settleAny()
 {
     for (std::size_t d = 0; d < mDevices.size(); ++d) {

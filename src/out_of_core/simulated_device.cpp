@@ -10,7 +10,7 @@ namespace vdb_nns {
 namespace {
 
 // The search of one block by one thread: rows one after the other into its result.
-class BlockSearcher final : public RowConsumer {
+class BlockSearcher final : public RowCallback {
 public:
     BlockSearcher(const SearchRun& run, const BlockSearch& block, ThreadState& state)
         : mRun(run),
@@ -98,7 +98,7 @@ private:
     void searchLeaf(const SearchTask& task)
     {
         if (mBlock.encoding == Encoding::kIndex) {
-            mState.beginConsuming(*this, task);
+            mState.beginCallbacks(*this, task);
             mRun.kernels.visit(mContext, task, mState.exactPredicate(), mState.halo, mState.visited,
                                mStatistics);
             mState.flushRows();

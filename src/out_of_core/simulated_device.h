@@ -21,9 +21,9 @@ public:
     std::byte* allocate(std::uint64_t bytes) override;
     void releaseAll() override;
     std::byte* allocateStaging(std::uint64_t bytes) override;
-    void upload(int slot, std::byte* device, const std::byte* staging, std::uint64_t bytes) override;
-    void search(int slot, const BlockSearch& block) override;
-    std::byte* download(int slot, std::byte* staging, std::byte* device, std::uint64_t bytes) override;
+    void upload(int buffer, std::byte* device, const std::byte* staging, std::uint64_t bytes) override;
+    void search(int buffer, const BlockSearch& block) override;
+    std::byte* download(int buffer, std::byte* staging, std::byte* device, std::uint64_t bytes) override;
     StepTimes wait(int) override { return {}; }
     std::uint64_t peakBytes() const override { return mPeakBytes; }
 

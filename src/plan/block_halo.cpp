@@ -100,7 +100,7 @@ BlockHalo haloOf(const SparseGridData& grid, std::uint32_t firstLeaf, std::uint3
         const std::uint64_t* const own = grid.leaves[l].occupancy;
         CellSet boundary{l, {}};
         std::uint64_t any = 0;
-        for (int n = 0; n < 27; ++n) {
+        for (int n = 0; n < kLeavesAround; ++n) {
             const std::uint32_t other = neighborhood.leaf[n];
             if (other == kNoLeaf || (other >= firstLeaf && other < endLeaf)) continue;
             const std::uint64_t* const outside = grid.leaves[other].occupancy;

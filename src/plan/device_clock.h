@@ -51,11 +51,11 @@ public:
     void observe(double seconds, const Rates& rates)
     {
         mRates = rates;
-        double flying = 0;
+        double inFlight = 0;
         for (std::size_t i = mFinished; i < mBegun; ++i) {
-            flying += static_cast<double>(mBuffers[i % mBuffers.size()].tests) / rates.testsPerSecond;
+            inFlight += static_cast<double>(mBuffers[i % mBuffers.size()].tests) / rates.testsPerSecond;
         }
-        mUploadFree = mSearchFree = mDownloadFree = seconds + flying;
+        mUploadFree = mSearchFree = mDownloadFree = seconds + inFlight;
         for (Buffer& buffer : mBuffers) buffer.free = std::min(buffer.free, mUploadFree);
     }
 

@@ -1,3 +1,4 @@
+// The work of some leaves, counted from their cells, and its mean for all.
 #include "plan/occupancy_sample.h"
 
 #include "grid/lattice.h"

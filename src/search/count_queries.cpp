@@ -62,7 +62,7 @@ public:
         const std::uint32_t reached = leavesInReach(cells, mGrid.reach());
         if (reached != kOwnLeafAlone)
             mGrid.topology.neighborhoods({&mGrid.leafOrigins[range.leaf], 1}, &neighborhood);
-        for (std::uint32_t n = 0; n < 27; ++n) {
+        for (int n = 0; n < kLeavesAround; ++n) {
             if (!(reached >> n & 1)) neighborhood.leaf[n] = kNoLeaf;
         }
         neighborhood.leaf[kOwnLeaf] = range.leaf;

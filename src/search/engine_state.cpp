@@ -1,3 +1,4 @@
+// What all searches of an engine have in common: the checks before, the memory of lists, tasks, and the lists at the end.
 #include "search/engine_state.h"
 
 #include "grid/lattice.h"

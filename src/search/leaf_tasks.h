@@ -82,7 +82,7 @@ template <typename F>
 void forEachCandidateCount(const BlockView& block, const SearchTask& task, F&& f)
 {
     LeafNeighborhood neighborhood;
-    std::copy_n(task.neighborhood, 27, neighborhood.leaf);
+    std::copy_n(task.neighborhood, kLeavesAround, neighborhood.leaf);
     forEachOccupiedCell(block, task.leaf, neighborhood, [&](const OccupiedCell& cell) {
         if (task.cells && !(task.cells[cell.x] & cell.bit)) return;
         const std::uint32_t begin = std::max(cell.begin, task.firstSlot),

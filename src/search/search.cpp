@@ -101,9 +101,9 @@ NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& 
 namespace {
 
 // Adds the distances of a row.
-class DistanceConsumer final : public RowConsumer {
+class DistanceCallback final : public RowCallback {
 public:
-    DistanceConsumer(const SearchRun& run, const NeighborVisitor& visitor, std::vector<double>& distances)
+    DistanceCallback(const SearchRun& run, const NeighborVisitor& visitor, std::vector<double>& distances)
         : mQueries(run.queries),
           mView(run.candidates.view),
           mCancel(run.cancel),
@@ -134,9 +134,9 @@ private:
     std::vector<double>& mDistances;
 };
 
-class NumberConsumer final : public RowConsumer {
+class NumberCallback final : public RowCallback {
 public:
-    NumberConsumer(const SparseGridData& queries, const RowVisitor& visitor)
+    NumberCallback(const SparseGridData& queries, const RowVisitor& visitor)
         : mQueries(queries), mVisitor(visitor)
     {
     }
@@ -151,10 +151,10 @@ private:
     const RowVisitor& mVisitor;
 };
 
-// Runs all tasks; makeConsumer(run, state) is what takes the rows of a task.
-template <typename MakeConsumer>
+// Runs all tasks; makeCallback(run, state) is what takes the rows of a task.
+template <typename MakeCallback>
 void visitTasks(EngineState& engine, const SparseGrid& grid, const SearchOptions& options,
-                MakeConsumer&& makeConsumer)
+                MakeCallback&& makeCallback)
 {
     checkOptions(options);
     isolated([&] {
@@ -163,8 +163,8 @@ void visitTasks(EngineState& engine, const SparseGrid& grid, const SearchOptions
         engine.beginStatistics(options);
         forEachTask(run.queries, run.pieces, engine.states, run.cancel,
                     [&](ThreadState& state, const SearchTask& task) {
-                        auto consumer = makeConsumer(run, state);
-                        state.beginConsuming(consumer, task);
+                        auto callback = makeCallback(run, state);
+                        state.beginCallbacks(callback, task);
                         state.decideBy(run.exact, run.cancel);
                         // Once a task, for the kernel calls the visitor too.
                         isolated([&] {
@@ -183,14 +183,14 @@ void visitTasks(EngineState& engine, const SparseGrid& grid, const SearchOptions
 void SearchEngine::visit(const SparseGrid& grid, const NeighborVisitor& visitor, const SearchOptions& options)
 {
     visitTasks(*mImpl, grid, options, [&](const SearchRun& run, ThreadState& state) {
-        return DistanceConsumer(run, visitor, state.distances);
+        return DistanceCallback(run, visitor, state.distances);
     });
 }
 
 void SearchEngine::visitRows(const SparseGrid& grid, const RowVisitor& visitor, const SearchOptions& options)
 {
     visitTasks(*mImpl, grid, options,
-               [&](const SearchRun& run, ThreadState&) { return NumberConsumer(run.queries, visitor); });
+               [&](const SearchRun& run, ThreadState&) { return NumberCallback(run.queries, visitor); });
 }
 
 std::uint64_t countCandidateTests(const SparseGrid& grid)

@@ -1,3 +1,4 @@
+// The chunks that rows live in, the memory of one thread and how it grows, and how rows reach a callback.
 #include "search/thread_state.h"
 
 #include <algorithm>
@@ -118,9 +119,9 @@ void ThreadState::growRows(RowSink& sink, std::size_t entries)
     sink.end = sink.out + bytes / sizeof(std::uint32_t);
 }
 
-void ThreadState::beginConsuming(RowConsumer& consumer, const SearchTask& task)
+void ThreadState::beginCallbacks(RowCallback& callback, const SearchTask& task)
 {
-    mConsumer = &consumer;
+    mCallback = &callback;
     const std::size_t queries = task.endSlot - task.firstSlot;
     mVisitedBegin.resize(queries);
     mVisitedCount.assign(queries, 0);
@@ -146,7 +147,7 @@ void ThreadState::flushRows()
 {
     for (; mVisited < visited.nextSlot; ++mVisited) {
         const std::uint32_t row = mVisited - visited.slotBase;
-        mConsumer->take(mVisited, mVisitedBegin[row], mVisitedCount[row]);
+        mCallback->take(mVisited, mVisitedBegin[row], mVisitedCount[row]);
     }
     visited.out = static_cast<std::uint32_t*>(mVisitedRows.data());
 }

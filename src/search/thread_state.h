@@ -41,9 +41,9 @@ private:
 };
 
 // Takes rows of numbers as they are made, in the order of slots. The numbers are valid during the call.
-class RowConsumer {
+class RowCallback {
 public:
-    virtual ~RowConsumer() = default;
+    virtual ~RowCallback() = default;
     virtual void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) = 0;
 };
 
@@ -60,14 +60,14 @@ struct ThreadState {
     void decideBy(const ExactTest& exact, const CancelCheck& cancel);
     ExactPredicate exactPredicate();
 
-    // Rows of the coming task, by Kernels::visit, go to `consumer` instead of into lists. Queries outside of the task's cells
+    // Rows of the coming task, by Kernels::visit, go to `callback` instead of into lists. Queries outside of the task's cells
     // have empty rows.
-    void beginConsuming(RowConsumer& consumer, const SearchTask& task);
+    void beginCallbacks(RowCallback& callback, const SearchTask& task);
     void flushRows();
 
     HaloScratch halo;
     RowSink sink;    // rows into lists
-    RowSink visited; // rows that are handed to a RowConsumer
+    RowSink visited; // rows that are handed to a RowCallback
     TaskStatistics statistics;
     std::uint64_t exactPairs = 0;
     std::uint64_t maskBytes = 0;
@@ -89,7 +89,7 @@ private:
     PageBlock mVisitedRows; // numbers of neighbors
     std::vector<std::uint32_t*> mVisitedBegin;
     std::vector<std::uint32_t> mVisitedCount;
-    RowConsumer* mConsumer = nullptr;
+    RowCallback* mCallback = nullptr;
     std::uint32_t mVisited = 0; // slots before it were handed out
     ExactTestMemory mExactMemory;
 };

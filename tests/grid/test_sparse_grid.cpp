@@ -115,7 +115,7 @@ void expectSound(const SparseGrid& grid, const PointSet& set, int reach)
     expectEachParticleOnce(grid, set);
 }
 
-// For arrays about the origin: a particle lies in its cell, but for a hair's breadth.
+// For arrays about the origin: a particle lies in its cell, but for rounding.
 void expectParticlesInTheirCells(const SparseGrid& grid, const PointSet& set)
 {
     const std::vector<Vec3i> cells = cellsOf(grid);

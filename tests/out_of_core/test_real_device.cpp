@@ -1,6 +1,6 @@
 // Devices that are not simulated, by a double that searches like the simulated one and measures what a test wants: their
-// flights have threads of their own, what they measure is reported and changes who takes which block, and whatever ends a
-// run ends it only after the last flight.
+// blocks in flight have threads of their own, what they measure is reported and changes who takes which block, and whatever
+// ends a run ends it only after the last block in flight.
 #include "out_of_core/run_schedule.h"
 #include "out_of_core/simulated_device.h"
 #include "plan/dispatcher.h"
@@ -60,15 +60,15 @@ std::uint64_t trueChecksum()
 
 // What a test wants of all devices of a run, and what it sees of them.
 struct Wish {
-    StepTimes times;                                // of each flight
+    StepTimes times;                                // of each block
     std::chrono::milliseconds opening{0}, sleep{0}; // sleep: in wait()
-    std::function<void(int flight)> onSearch;       // may throw
+    std::function<void(int block)> onSearch;        // may throw; the blocks are counted as they come
     int threadsBeforeRefusal = -1;                  // for the buffers; negative: all of them
 
-    std::atomic<int> flights{0}, inside{0}, destroyed{0};
+    std::atomic<int> blocks{0}, inside{0}, destroyed{0};
     std::atomic<bool> wasInsideAtEnd{false};
     std::mutex mutex;
-    std::map<int, std::set<std::thread::id>> threads; // by slot
+    std::map<int, std::set<std::thread::id>> threads; // by buffer
 };
 
 class RealDevice final : public SimulatedDevice {
@@ -89,16 +89,16 @@ public:
         threadsBeforeRefusal = mWish.threadsBeforeRefusal; // threads are next
         return SimulatedDevice::allocateStaging(bytes);
     }
-    void search(int slot, const BlockSearch& block) override
+    void search(int buffer, const BlockSearch& block) override
     {
         const Inside inside(mWish);
         {
             const std::lock_guard<std::mutex> lock(mWish.mutex);
-            mWish.threads[slot].insert(std::this_thread::get_id());
+            mWish.threads[buffer].insert(std::this_thread::get_id());
         }
-        const int flight = mWish.flights++;
-        if (mWish.onSearch) mWish.onSearch(flight);
-        SimulatedDevice::search(slot, block);
+        const int number = mWish.blocks++;
+        if (mWish.onSearch) mWish.onSearch(number);
+        SimulatedDevice::search(buffer, block);
     }
     StepTimes wait(int) override
     {
@@ -157,19 +157,19 @@ struct RealRun {
     RunOptions options;
 };
 
-TEST(RealDevice, RunsItsFlightsOnThreadsOfItsOwn)
+TEST(RealDevice, RunsItsBlocksOnThreadsOfItsOwn)
 {
     for (const BoundaryMode boundary : {BoundaryMode::kCpu, BoundaryMode::kHalo}) {
         for (const int threads : {1, 2}) {
             SCOPED_TRACE(std::string(boundaryModeName(boundary)) + " " + std::to_string(threads));
             RealRun real(boundary);
             Wish wish;
-            // With one thread, nobody else serves what flights hand over.
+            // With one thread, nobody else serves what blocks in flight hand over.
             runOnThreads(threads, [&] { real.run(wish); });
             EXPECT_GT(wish.threads.size(), 1u);
             std::set<std::thread::id> all;
-            for (const auto& [slot, ids] : wish.threads) {
-                EXPECT_EQ(ids.size(), 1u) << "slot " << slot;
+            for (const auto& [buffer, ids] : wish.threads) {
+                EXPECT_EQ(ids.size(), 1u) << "buffer " << buffer;
                 all.insert(ids.begin(), ids.end());
             }
             EXPECT_EQ(all.size(), wish.threads.size()) << "buffers share a thread";
@@ -179,7 +179,7 @@ TEST(RealDevice, RunsItsFlightsOnThreadsOfItsOwn)
     }
 }
 
-TEST(RealDevice, DoesWithoutSlotsWhoseThreadsAreRefused)
+TEST(RealDevice, DoesWithoutBuffersWhoseThreadsAreRefused)
 {
     RealRun real(BoundaryMode::kHalo);
     Wish two;
@@ -196,7 +196,7 @@ TEST(RealDevice, DoesWithoutSlotsWhoseThreadsAreRefused)
     const ScheduleRun failed = real.run(none);
     EXPECT_NE(failed.devices[0].failure.find("no thread"), std::string::npos) << failed.devices[0].failure;
     EXPECT_EQ(failed.cpuParticles, problem().grid.particleCount());
-    EXPECT_EQ(none.flights, 0);
+    EXPECT_EQ(none.blocks, 0);
 }
 
 TEST(RealDevice, WhatItMeasuresIsReported)
@@ -207,7 +207,7 @@ TEST(RealDevice, WhatItMeasuresIsReported)
     const ScheduleRun report = real.run(wish);
     const DeviceRun& device = report.devices[0];
     ASSERT_GT(device.blocks, 3u);
-    EXPECT_EQ(device.blocks, static_cast<std::uint64_t>(wish.flights));
+    EXPECT_EQ(device.blocks, static_cast<std::uint64_t>(wish.blocks));
     // Results whose length is not known before are waited for twice; the search is in the first time.
     const double waits = device.uploadSeconds / 0.25;
     EXPECT_GE(waits, static_cast<double>(device.blocks));
@@ -227,7 +227,7 @@ TEST(RealDevice, TakesWhatItsMeasuredSpeedIsWorth)
         RealRun real(BoundaryMode::kHalo, 12);
         real.options.schedule.useCpu = true;
         real.devices[0].rates = {1e-9, 1e15, 1e18, 1e18};
-        // Not measured in such a small run, where everything flies.
+        // Not measured in such a small run, where every block is in flight at once.
         if (seconds < 1) real.options.schedule.cpuTestsPerSecond = 1;
         Wish wish;
         wish.times.searchSeconds = seconds;
@@ -302,17 +302,17 @@ TEST(Dispatcher, MostBytesAreOfDevicesInUse)
 
 // ---- runs that end early ---------------------------------------------------------------------------------------------
 
-TEST(RealDevice, AnyExceptionOfAFlightEndsTheRunAfterTheOthers)
+TEST(RealDevice, AnyExceptionOfABlockEndsTheRunAfterTheOthers)
 {
     for (const BoundaryMode boundary : {BoundaryMode::kCpu, BoundaryMode::kHalo}) {
-        for (const int flight : {0, 1, 4}) {
-            SCOPED_TRACE(std::string(boundaryModeName(boundary)) + " " + std::to_string(flight));
+        for (const int failing : {0, 1, 4}) {
+            SCOPED_TRACE(std::string(boundaryModeName(boundary)) + " " + std::to_string(failing));
             RealRun real(boundary);
             real.options.onFailure = DeviceFailure::kUseCpu; // of a device, which this is not
             Wish wish;
             wish.sleep = std::chrono::milliseconds(5);
             wish.onSearch = [&](int number) {
-                if (number == flight) throw std::runtime_error("not the device's");
+                if (number == failing) throw std::runtime_error("not the device's");
             };
             EXPECT_THROW(real.run(wish), std::runtime_error);
             EXPECT_EQ(wish.destroyed, 1);
@@ -323,16 +323,16 @@ TEST(RealDevice, AnyExceptionOfAFlightEndsTheRunAfterTheOthers)
     }
 }
 
-// The decider throws, not a job: other flights still stage their blocks, and hand their boundary over.
-TEST(RealDevice, AFailureThatStopsTheRunWaitsForTheOtherFlights)
+// The decider throws, not a job: other blocks in flight are still staged, and hand their boundary over.
+TEST(RealDevice, AFailureThatStopsTheRunWaitsForTheOtherBlocks)
 {
     for (const BoundaryMode boundary : {BoundaryMode::kCpu, BoundaryMode::kHalo}) {
-        for (const int flight : {0, 1, 2, 3, 7}) {
+        for (const int failing : {0, 1, 2, 3, 7}) {
             RealRun real(boundary);
             Wish wish;
-            wish.sleep = std::chrono::milliseconds(flight);
+            wish.sleep = std::chrono::milliseconds(failing);
             wish.onSearch = [&](int number) {
-                if (number == flight) throw DeviceError("injected");
+                if (number == failing) throw DeviceError("injected");
             };
             EXPECT_THROW(real.run(wish), DeviceError);
             EXPECT_EQ(wish.destroyed, 1);

@@ -332,26 +332,26 @@ public:
         fail("stage");
         return SimulatedDevice::allocateStaging(bytes);
     }
-    void upload(int slot, std::byte* device, const std::byte* staging, std::uint64_t bytes) override
+    void upload(int buffer, std::byte* device, const std::byte* staging, std::uint64_t bytes) override
     {
         fail("upload");
-        SimulatedDevice::upload(slot, device, staging, bytes);
+        SimulatedDevice::upload(buffer, device, staging, bytes);
     }
-    void search(int slot, const BlockSearch& block) override
+    void search(int buffer, const BlockSearch& block) override
     {
         fail("search");
-        SimulatedDevice::search(slot, block);
+        SimulatedDevice::search(buffer, block);
         fail("searched");
     }
-    std::byte* download(int slot, std::byte* staging, std::byte* device, std::uint64_t bytes) override
+    std::byte* download(int buffer, std::byte* staging, std::byte* device, std::uint64_t bytes) override
     {
         fail("download");
-        return SimulatedDevice::download(slot, staging, device, bytes);
+        return SimulatedDevice::download(buffer, staging, device, bytes);
     }
-    StepTimes wait(int slot) override
+    StepTimes wait(int buffer) override
     {
         fail("wait");
-        return SimulatedDevice::wait(slot);
+        return SimulatedDevice::wait(buffer);
     }
 
 private:

@@ -67,9 +67,9 @@ void addCommonFlags(CLI::App& app, CommonFlags& flags)
         ->check(notEmpty());
     app.add_flag("-f,--force", flags.force, "overwrite files and attributes that exist");
     app.add_flag("--sync", flags.sync,
-                 "flush the files written and their folders to the disk: they survive a power loss then");
-    CLI::Option* quiet = app.add_flag("-q,--quiet", flags.quiet, "no summary and no talk");
-    app.add_flag("-v,--verbose", flags.verbose, "say more on stderr")->excludes(quiet);
+                 "flush written files and their folders to the disk, so that they survive a power loss");
+    CLI::Option* quiet = app.add_flag("-q,--quiet", flags.quiet, "no summary, no messages");
+    app.add_flag("-v,--verbose", flags.verbose, "print more messages on stderr")->excludes(quiet);
 }
 
 int threadCount(const CommonFlags& flags)

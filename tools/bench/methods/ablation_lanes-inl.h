@@ -1,5 +1,5 @@
-// Eight floats or doubles by AVX2, for part_kernels.cpp alone. Every function carries its instruction set by itself, so the
-// file needs no flags and leaves no code with it to others.
+// Eight floats or doubles by AVX2, for ablation_kernels.cpp alone. Every function carries its instruction set by itself, so
+// the file needs no flags and leaves no code with it to others.
 #pragma once
 
 #include <array>
@@ -13,8 +13,8 @@
 namespace vdb_nns::cli {
 namespace {
 
-// For each mask the lanes whose bit is set, lowest first, as 32-bit lanes of a vector; `kAblations` of them to an element.
-template <unsigned kElements, unsigned kAblations>
+// For each mask the lanes whose bit is set, lowest first, as 32-bit lanes of a vector; `kParts` of them to an element.
+template <unsigned kElements, unsigned kParts>
 constexpr std::array<std::array<std::uint8_t, 8>, (1u << kElements)> packOrders()
 {
     std::array<std::array<std::uint8_t, 8>, (1u << kElements)> orders{};
@@ -22,8 +22,8 @@ constexpr std::array<std::array<std::uint8_t, 8>, (1u << kElements)> packOrders(
         unsigned out = 0;
         for (unsigned lane = 0; lane < kElements; ++lane) {
             if (!(mask >> lane & 1)) continue;
-            for (unsigned part = 0; part < kAblations; ++part) {
-                orders[mask][out++] = static_cast<std::uint8_t>(lane * kAblations + part);
+            for (unsigned part = 0; part < kParts; ++part) {
+                orders[mask][out++] = static_cast<std::uint8_t>(lane * kParts + part);
             }
         }
     }

@@ -7,7 +7,7 @@ namespace vdb_nns::cli {
 namespace {
 
 // Blocks across a face of nodes on every axis, of both signs, some particles on the face and an ulp beside it: on the face of
-// cells of the radius, and on that of ours, which are a hair wider.
+// cells of the radius, and on that of ours, which are 1/65536 wider.
 CasePoints seam(double faceCells)
 {
     constexpr double kCellPadding = 1.0 / 65536;

@@ -1,4 +1,4 @@
-// How right and how dear the estimators are: each against a full count, by blocks of 64^3 cells.
+// How accurate the estimators are, and what they cost: each against a full count, by blocks of 64^3 cells.
 #pragma once
 
 #include "vdb_nns/progress.h"
