@@ -333,7 +333,7 @@ private:
 } // namespace
 
 void streamNpzRows(const std::string& path, const NpzRowSource& source, ListValues values,
-                        const OutputOptions& output, std::size_t threadBytes, Progress* progress)
+                   const OutputOptions& output, std::size_t threadBytes, Progress* progress)
 {
     const CancelCheck cancel(progress, "write");
     cancel.update(0);
@@ -360,7 +360,7 @@ void streamNpz(const std::string& path, SearchEngine& engine, const NeighborList
     const std::uint64_t threadBytes =
         bufferBytes ? std::min(bufferBytes / threads, kMostThreadBytes) : kThreadBytes;
     streamNpzRows(path, SearchRows(engine, counts, options), values, output,
-                       static_cast<std::size_t>(threadBytes), options.progress);
+                  static_cast<std::size_t>(threadBytes), options.progress);
 }
 
 } // namespace vdb_nns

@@ -25,6 +25,6 @@ public:
 
 // streamNpz() of point_file.h for rows of any origin. A thread collects `threadBytes` of rows before it writes them.
 void streamNpzRows(const std::string& path, const NpzRowSource& source, ListValues values,
-                        const OutputOptions& output, std::size_t threadBytes, Progress* progress);
+                   const OutputOptions& output, std::size_t threadBytes, Progress* progress);
 
 } // namespace vdb_nns

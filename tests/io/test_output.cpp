@@ -720,7 +720,7 @@ TEST_F(OutputTest, npzWithoutListsHasTheSameBytes)
             for (const std::size_t threadBytes : {0u, 100u, 4000u, 1u << 20, 64u << 20}) {
                 if (rows.size() > 10000 && threadBytes < 1u << 20) continue; // a write a row takes its time
                 streamNpzRows(path("direct.npz"), TestRowSource(rows), values, kOverwrite, threadBytes,
-                                   nullptr);
+                              nullptr);
                 EXPECT_TRUE(contents(path("direct.npz")) == expected)
                     << rows.size() << " rows, buffers of " << threadBytes;
             }
@@ -788,9 +788,9 @@ TEST_F(OutputTest, npzWithoutListsStopsWhenAskedAndLeavesNothing)
         std::atomic<bool> mStop{false};
     } progress;
     const TestRows rows(400000, 61);
-    EXPECT_THROW(streamNpzRows(path("a.npz"), TestRowSource(rows), ListValues::kConnectivity, {}, 100000,
-                                    &progress),
-                 Cancelled);
+    EXPECT_THROW(
+        streamNpzRows(path("a.npz"), TestRowSource(rows), ListValues::kConnectivity, {}, 100000, &progress),
+        Cancelled);
     EXPECT_EQ(fileCount(), 0u);
 }
 
@@ -800,9 +800,9 @@ TEST_F(OutputTest, npzWithoutListsAndWithoutRoomLeavesNothing)
     // Within the counts, the rows, the ones.
     for (const rlim_t bytes : {100000, 2000000, 7000000}) {
         const FileSizeLimit limit(bytes);
-        EXPECT_THROW(streamNpzRows(path("a.npz"), TestRowSource(rows), ListValues::kConnectivity, {},
-                                        100000, nullptr),
-                     OutputError);
+        EXPECT_THROW(
+            streamNpzRows(path("a.npz"), TestRowSource(rows), ListValues::kConnectivity, {}, 100000, nullptr),
+            OutputError);
         EXPECT_EQ(fileCount(), 0u);
     }
 }
@@ -814,9 +814,8 @@ TEST_F(OutputTest, npzWithoutListsNoticesRowsThatDoNotMatchTheCounts)
     lost.lose(1234);
     cut.cut(4321);
     for (const TestRowSource* source : {&lost, &cut}) {
-        EXPECT_THROW(
-            streamNpzRows(path("a.npz"), *source, ListValues::kConnectivity, {}, 10000, nullptr),
-            OutputError);
+        EXPECT_THROW(streamNpzRows(path("a.npz"), *source, ListValues::kConnectivity, {}, 10000, nullptr),
+                     OutputError);
     }
     EXPECT_EQ(fileCount(), 0u);
 }
