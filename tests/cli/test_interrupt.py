@@ -77,6 +77,26 @@ class Interrupt(CliCase):
             self.assertIn(-process.returncode, numbers)
             self.assertEqual(sorted(os.listdir(self.folder)), before)
 
+    def test_what_asks_nobody_is_ended(self):
+        """A step that does not stop, here a flush of 30 s, ends with the message and the code of one that does."""
+        before = sorted(os.listdir(self.folder))
+        for number, code in ((signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)):
+            calls = self.path("calls")
+            process = subprocess.Popen([cli_case.BINARY, "scene", "block", "-n", "1000", "-o", self.path("x.vdb"), "--sync"],
+                                       stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                                       env=cli_case.watched(VDB_NNS_SLOW_FLUSH="30", VDB_NNS_CALLS=calls))
+            self.addCleanup(process.kill)
+            while process.poll() is None and not os.path.exists(calls):
+                time.sleep(0.001)
+            start = time.monotonic()
+            process.send_signal(number)
+            out, err = process.communicate()
+            self.assertLess(time.monotonic() - start, 10)
+            self.assertEqual((process.returncode, out), (code, ""), err)
+            self.assertEqual(err, f"vdb_nns: stopped by {signal.Signals(number).name}\n")
+            os.remove(calls)
+            self.assertEqual(sorted(os.listdir(self.folder)), before)
+
     def test_what_kill_leaves_goes_with_the_next_run(self):
         args = self.long_writing()
         before = sorted(os.listdir(self.folder))

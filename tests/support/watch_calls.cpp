@@ -1,5 +1,6 @@
 // A library to load before the program (LD_PRELOAD): appends to the file that $VDB_NNS_CALLS names a line for each flush and
-// each renaming, with the paths. With $VDB_NNS_NO_PROGRAMS there is no program that could be started.
+// each renaming, with the paths. With $VDB_NNS_NO_PROGRAMS there is no program that could be started. With
+// $VDB_NNS_SLOW_FLUSH a flush takes so many seconds, whatever signals come.
 #include <cerrno>
 #include <cstdio>
 #include <cstdlib>
@@ -42,6 +43,9 @@ extern "C" {
 int fsync(int descriptor)
 {
     log("flush " + pathOf(descriptor));
+    if (const char* const seconds = std::getenv("VDB_NNS_SLOW_FLUSH")) {
+        for (unsigned left = static_cast<unsigned>(std::atoi(seconds)); left > 0;) left = ::sleep(left);
+    }
     return realCall("fsync", &fsync)(descriptor);
 }
 
