@@ -52,7 +52,7 @@ void HostBudget::begin()
     const std::uint64_t needed = mUsedBytes + mReserveBytes;
     if (needed >= mBoundBytes) {
         throw CapacityError("the points alone need " + std::to_string(needed) + " bytes, allowed are " +
-                                std::to_string(mBoundBytes) + explanation() + ": allow more host memory",
+                                std::to_string(mBoundBytes) + ": allow more host memory",
                             needed, mBoundBytes);
     }
     mFreeBytes = mBoundBytes - needed;
