@@ -97,6 +97,15 @@ class Interrupt(CliCase):
             os.remove(calls)
             self.assertEqual(sorted(os.listdir(self.folder)), before)
 
+    def test_killed_while_the_file_is_created(self):
+        """The name is known to the signal handler before the file is there."""
+        before = sorted(os.listdir(self.folder))
+        for number in (signal.SIGQUIT, signal.SIGUSR1):
+            done = subprocess.run([cli_case.BINARY, "scene", "block", "-n", "1000", "-o", self.path("x.vdb")],
+                                  capture_output=True, env=cli_case.watched(VDB_NNS_SIGNAL_AT_CREATE=str(int(number))))
+            self.assertEqual(done.returncode, -number, done.stderr)
+            self.assertEqual(sorted(os.listdir(self.folder)), before)
+
     def test_what_kill_leaves_goes_with_the_next_run(self):
         args = self.long_writing()
         before = sorted(os.listdir(self.folder))

@@ -1,12 +1,16 @@
 // A library to load before the program (LD_PRELOAD): appends to the file that $VDB_NNS_CALLS names a line for each flush and
 // each renaming, with the paths. With $VDB_NNS_NO_PROGRAMS there is no program that could be started. With
-// $VDB_NNS_SLOW_FLUSH a flush takes so many seconds, whatever signals come.
+// $VDB_NNS_SLOW_FLUSH a flush takes so many seconds, whatever signals come. With $VDB_NNS_SIGNAL_AT_CREATE the process gets
+// that signal while it creates a file, which is there by then.
 #include <cerrno>
+#include <csignal>
+#include <cstdarg>
 #include <cstdio>
 #include <cstdlib>
 #include <string>
 
 #include <dlfcn.h>
+#include <fcntl.h>
 #include <spawn.h>
 #include <unistd.h>
 
@@ -39,6 +43,20 @@ F* realCall(const char* name, F*)
 } // namespace
 
 extern "C" {
+
+int open(const char* path, int flags, ...)
+{
+    va_list arguments;
+    va_start(arguments, flags);
+    const mode_t mode = flags & O_CREAT ? va_arg(arguments, mode_t) : 0;
+    va_end(arguments);
+    using Open = int(const char*, int, ...);
+    static Open* const real = reinterpret_cast<Open*>(::dlsym(RTLD_NEXT, "open"));
+    const int descriptor = real(path, flags, mode);
+    if (const char* const signal = flags & O_CREAT ? std::getenv("VDB_NNS_SIGNAL_AT_CREATE") : nullptr)
+        std::raise(std::atoi(signal));
+    return descriptor;
+}
 
 int fsync(int descriptor)
 {
