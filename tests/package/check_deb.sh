@@ -2,7 +2,7 @@
 # The .deb of `cpack` says what it is and needs, and holds what `cmake --install` installs, no more. That it can be installed
 # and used is tried by tools/fresh_machines.sh, where there is nothing that it could spoil.
 #   check_deb.sh CPACK CMAKE BUILD_DIR CONFIG WORK_DIR
-# Exits with 77 (skipped) where nothing makes a .deb.
+# Exits with 77 (skipped) where nothing makes a .deb, or OpenVDB is of no package that it could depend on.
 set -euo pipefail
 export LC_ALL=C
 cpack=$1 cmake=$2 build=$3 config=$4 work=$5
@@ -10,6 +10,8 @@ fail() { echo "FAILED: $*" >&2; exit 1; }
 
 command -v dpkg-shlibdeps >/dev/null && command -v file >/dev/null ||
     { echo "SKIPPED: no dpkg-dev or no file here (tools/setup.sh --package)"; exit 77; }
+openvdb=$(ldd "$build/vdb_nns" | sed -n 's/.*=> \(.*libopenvdb[^ ]*\).*/\1/p')
+dpkg -S "$(readlink -f "$openvdb")" >/dev/null 2>&1 || { echo "SKIPPED: $openvdb is of no package"; exit 77; }
 rm -rf "$work"
 mkdir -p "$work"
 "$cpack" -G DEB --config "$build/CPackConfig.cmake" -C "$config" -B "$work/cpack" >"$work/cpack.log" 2>&1 ||
