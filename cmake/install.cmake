@@ -16,6 +16,9 @@ install(DIRECTORY "${PROJECT_SOURCE_DIR}/include/vdb_nns" "${PROJECT_BINARY_DIR}
     DESTINATION "${CMAKE_INSTALL_INCLUDEDIR}" FILES_MATCHING PATTERN "*.h")
 
 install(EXPORT vdb_nnsTargets NAMESPACE vdb_nns:: DESTINATION "${package_dir}")
+get_target_property(VDB_NNS_OPENVDB_ROOT OpenVDB::openvdb INTERFACE_INCLUDE_DIRECTORIES)
+list(GET VDB_NNS_OPENVDB_ROOT 0 VDB_NNS_OPENVDB_ROOT)
+cmake_path(GET VDB_NNS_OPENVDB_ROOT PARENT_PATH VDB_NNS_OPENVDB_ROOT)
 configure_package_config_file("${PROJECT_SOURCE_DIR}/cmake/vdb_nnsConfig.cmake.in"
     "${PROJECT_BINARY_DIR}/vdb_nnsConfig.cmake" INSTALL_DESTINATION "${package_dir}")
 write_basic_package_version_file("${PROJECT_BINARY_DIR}/vdb_nnsConfigVersion.cmake"
