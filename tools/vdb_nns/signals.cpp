@@ -48,7 +48,8 @@ void setDeadline(long nanoseconds)
 
 void askToStop(int signal)
 {
-    constexpr long kPatience = 200'000'000; // of the 0.3 s in which the program is to be gone
+    constexpr long kPatience =
+        150'000'000; // of 0.3 s in which the program is to be gone, its memory given back
     int none = 0;
     if (!gStopSignal.compare_exchange_strong(none, signal)) return killAtOnce(signal);
     setDeadline(kPatience);

@@ -4,7 +4,7 @@
 
 namespace vdb_nns::cli {
 
-/// The first SIGHUP, SIGINT or SIGTERM is remembered; steps that have not stopped 0.2 s later are ended, with the
+/// The first SIGHUP, SIGINT or SIGTERM is remembered; steps that have not stopped 0.15 s later are ended, with the
 /// message and the exit code that they would have had. A second one kills at once, as SIGQUIT, SIGABRT,
 /// SIGUSR1, SIGUSR2 and the signals of timers and time limits do, after the temporary files are removed.
 /// SIGPIPE and SIGXFSZ are ignored, so that a closed pipe and a file-size limit come back as write errors.
