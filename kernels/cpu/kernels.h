@@ -37,7 +37,7 @@ using ExpectCellsFunction = void (*)(const BlockView&, std::uint32_t leaf, const
                                      const float* shares, CellCounts&, float* expected,
                                      std::uint32_t* candidates);
 
-// The four search_*.cpp fill it by position.
+// kernel_table-inl.h fills it, by position.
 struct Kernels {
     SearchTaskFunction
         index; // rows of numbers, past the caches; the last ones of a thread wait in RowSink::tail
