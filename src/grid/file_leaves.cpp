@@ -2,7 +2,6 @@
 
 #include "grid/cell_map.h"
 #include "grid/leaf_table.h"
-#include "points/occupied_voxels.h"
 #include "points/particle_source.h"
 #include "util/cancel.h"
 
@@ -63,9 +62,19 @@ std::vector<FileLeaf> sortedLeaves(const ParticleSource& source)
     return sorted;
 }
 
-std::uint32_t occupiedCells(const FileLeaf& leaf, std::uint64_t* occupancy)
+// Particles whose voxels are read at once.
+constexpr std::size_t kVoxelBatch = 512;
+
+// Notes which voxels of a leaf hold particles, and returns how many do.
+std::uint32_t occupiedCells(const ParticleSource& source, const FileLeaf& leaf, std::uint64_t* occupancy)
 {
-    findOccupied(leaf.ends, occupancy);
+    std::uint16_t voxels[kVoxelBatch];
+    std::fill_n(occupancy, 8, std::uint64_t(0));
+    for (std::uint32_t i = 0; i < leaf.count; i += kVoxelBatch) {
+        const std::size_t n = std::min<std::size_t>(kVoxelBatch, leaf.count - i);
+        source.readVoxels(leaf.firstParticle + i, n, voxels);
+        for (std::size_t k = 0; k < n; ++k) occupancy[voxels[k] >> 6] |= std::uint64_t(1) << (voxels[k] & 63);
+    }
     std::uint32_t cells = 0;
     for (int w = 0; w < 8; ++w) cells += static_cast<std::uint32_t>(__builtin_popcountll(occupancy[w]));
     return cells;
@@ -76,33 +85,30 @@ bool copyLeaf(const ParticleSource& source, const FileLeaf& leaf, const LeafReco
               SparseGridData& grid, const CancelCheck& cancel)
 {
     constexpr std::size_t kBatch = CellMap::kBatch;
-    const double reference[3] = {double(leaf.origin[0]), double(leaf.origin[1]), double(leaf.origin[2])};
+    const Vec3d corner{double(leaf.origin[0]), double(leaf.origin[1]), double(leaf.origin[2])};
     double at[3][kBatch];
-    const std::uint32_t count = leaf.ends[511];
+    std::uint16_t voxels[kBatch];
     std::uint32_t* start = grid.cellStart.data() + record.firstCell;
-    std::uint32_t batchBegin = 0, batchEnd = 0, i = 0;
+    int lastVoxel = -1;
     bool inside = true;
-    for (int x = 0; x < 8; ++x) {
-        for (std::uint64_t word = record.occupancy[x]; word; word &= word - 1) {
-            const int yz = __builtin_ctzll(word);
-            const double voxel[3] = {double(x), double(yz >> 3), double(yz & 7)};
-            const std::uint32_t end = leaf.ends[x * 64 + yz];
-            *start++ = record.firstSlot + i;
-            for (; i < end; ++i) {
-                if (i == batchEnd) {
-                    if (i > 0 && i % (64 * kBatch) == 0) cancel.check();
-                    batchBegin = i;
-                    batchEnd = std::min<std::uint32_t>(count, i + kBatch);
-                    source.read(leaf.firstParticle + i, batchEnd - i,
-                                {reference[0], reference[1], reference[2]}, at[0], at[1], at[2]);
-                }
-                const std::uint32_t b = i - batchBegin, slot = record.firstSlot + i;
-                for (int k = 0; k < 3; ++k) inside &= std::fabs(at[k][b] - voxel[k]) <= 0.5;
-                grid.x[slot] = static_cast<float>(at[0][b] - 3.5);
-                grid.y[slot] = static_cast<float>(at[1][b] - 3.5);
-                grid.z[slot] = static_cast<float>(at[2][b] - 3.5);
-                grid.number[slot] = static_cast<std::uint32_t>(leaf.firstParticle + i);
-            }
+    for (std::uint32_t i = 0; i < leaf.count; i += kBatch) {
+        if (i > 0 && i % (64 * kBatch) == 0) cancel.check();
+        const std::uint32_t n = std::min<std::uint32_t>(kBatch, leaf.count - i), slot = record.firstSlot + i;
+        source.read(leaf.firstParticle + i, n, corner, at[0], at[1], at[2]);
+        source.readVoxels(leaf.firstParticle + i, n, voxels);
+        for (std::uint32_t b = 0; b < n; ++b) {
+            const int voxel = voxels[b];
+            inside &= std::fabs(at[0][b] - (voxel >> 6)) <= 0.5 &&
+                      std::fabs(at[1][b] - (voxel >> 3 & 7)) <= 0.5 &&
+                      std::fabs(at[2][b] - (voxel & 7)) <= 0.5;
+            grid.x[slot + b] = static_cast<float>(at[0][b] - 3.5);
+            grid.y[slot + b] = static_cast<float>(at[1][b] - 3.5);
+            grid.z[slot + b] = static_cast<float>(at[2][b] - 3.5);
+            grid.number[slot + b] = static_cast<std::uint32_t>(leaf.firstParticle) + i + b;
+        }
+        for (std::uint32_t b = 0; b < n; ++b) {
+            if (voxels[b] != lastVoxel) *start++ = slot + b;
+            lastVoxel = voxels[b];
         }
     }
     return inside;
@@ -157,7 +163,7 @@ bool takeOverLeaves(const ParticleView& view, const Lattice& lattice, const Sear
     for (std::size_t l = 0; l < leaves.size(); ++l) {
         grid.leafOrigins[l] = leaves[l].origin;
         grid.leaves[l].firstSlot = slot;
-        slot += leaves[l].ends[511];
+        slot += leaves[l].count;
     }
     grid.view = view;
     grid.lattice = lattice;
@@ -171,7 +177,7 @@ bool takeOverLeaves(const ParticleView& view, const Lattice& lattice, const Sear
         for (std::size_t l = r.begin(); l < r.end(); ++l) {
             std::uint64_t* const occupancy = grid.topology.occupancy(l);
             grid.leaves[l].occupancy = occupancy;
-            grid.leaves[l].firstCell = occupiedCells(leaves[l], occupancy);
+            grid.leaves[l].firstCell = occupiedCells(source, leaves[l], occupancy);
         }
     });
     std::uint32_t cells = 0;

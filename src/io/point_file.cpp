@@ -2,6 +2,7 @@
 #include "vdb_nns/point_file.h"
 
 #include "io/array_readers.h"
+#include "io/byte_source.h"
 #include "io/vdb_file.h"
 #include "points/particle_source.h"
 #include "util/cancel.h"
@@ -15,7 +16,6 @@
 
 #include <algorithm>
 #include <cctype>
-#include <cerrno>
 #include <cmath>
 #include <cstring>
 #include <filesystem>
@@ -24,17 +24,13 @@
 #include <optional>
 #include <utility>
 
-#include <fcntl.h>
-#include <sys/stat.h>
-#include <unistd.h>
-
 namespace vdb_nns {
 
 struct PointFile::Data {
-    std::unique_ptr<VdbFile> vdb; // null for array files
-    ParticleView view;            // keeps the memory of array files
-    PointFileInfo info;           // all but the pass over the positions
-    std::mutex mutex;             // of what follows
+    std::optional<VdbFile> vdb; // none for array files
+    ParticleView view;          // keeps the memory of array files
+    PointFileInfo info;         // all but the pass over the positions
+    std::mutex mutex;           // of what follows
     std::optional<PointFileInfo> fullInfo;
 };
 
@@ -53,70 +49,17 @@ constexpr std::size_t kReadBytes = std::size_t(8) << 20;
 // Positions decoded at once by a task of info(): 3 arrays of 4 KB on its stack.
 constexpr std::size_t kInfoBlock = 512;
 
-class InputDescriptor {
-public:
-    explicit InputDescriptor(const std::string& path) : mPath(path)
-    {
-        struct stat status {};
-        if (::stat(path.c_str(), &status) != 0) fail(errno);
-        // A pipe or a device has no size to hold a header's numbers against.
-        if (!S_ISREG(status.st_mode))
-            throw InputError(path + ": is not a regular file; give the name of one");
-        mDescriptor = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
-        if (mDescriptor < 0) fail(errno);
-        mBytes = static_cast<std::size_t>(status.st_size);
-        char first = 0;
-        if (mBytes == 0 && ::pread(mDescriptor, &first, 1, 0) > 0) {
-            ::close(mDescriptor);
-            throw InputError(path + ": has content but no size, as files of /proc have; copy it first");
-        }
-    }
-
-    ~InputDescriptor() { ::close(mDescriptor); }
-    InputDescriptor(const InputDescriptor&) = delete;
-    InputDescriptor& operator=(const InputDescriptor&) = delete;
-
-    std::size_t bytes() const { return mBytes; }
-
-    // Thread-safe.
-    void readAt(std::size_t offset, char* out, std::size_t bytes) const
-    {
-        while (bytes > 0) {
-            const ssize_t got = ::pread(mDescriptor, out, bytes, static_cast<off_t>(offset));
-            if (got < 0 && errno == EINTR) continue;
-            if (got < 0) fail(errno);
-            if (got == 0) {
-                throw InputError(mPath + ": became shorter while it was read, at byte " +
-                                 std::to_string(offset));
-            }
-            out += got;
-            offset += static_cast<std::size_t>(got);
-            bytes -= static_cast<std::size_t>(got);
-        }
-    }
-
-private:
-    [[noreturn]] void fail(int error) const
-    {
-        throw InputError(mPath + ": cannot be read: " + std::strerror(error) +
-                         "; check the name and the permissions");
-    }
-
-    std::string mPath;
-    int mDescriptor = -1;
-    std::size_t mBytes = 0;
-};
-
-PageBlock readBytes(const InputDescriptor& file, const CancelCheck& cancel)
+PageBlock readBytes(const InputFile& file, const CancelCheck& cancel)
 {
-    if (file.bytes() == 0) return {};
-    PageBlock block(file.bytes());
+    if (static_cast<std::size_t>(file.size()) == 0) return {};
+    PageBlock block(static_cast<std::size_t>(file.size()));
     char* const out = static_cast<char*>(block.data());
-    const std::size_t pieces = (file.bytes() + kReadBytes - 1) / kReadBytes;
+    const std::size_t pieces = (static_cast<std::size_t>(file.size()) + kReadBytes - 1) / kReadBytes;
     tbb::parallel_for(std::size_t(0), pieces, [&](std::size_t i) {
         cancel.check();
         const std::size_t offset = i * kReadBytes;
-        file.readAt(offset, out + offset, std::min(kReadBytes, file.bytes() - offset));
+        file.readAt(offset, out + offset,
+                    std::min(kReadBytes, static_cast<std::size_t>(file.size()) - offset));
     });
     return block;
 }
@@ -143,20 +86,21 @@ ParticleView viewOfNpy(PageBlock& block, const NpyLayout& layout)
 }
 
 // Reads the file of `info` and notes the type of its values there.
-ParticleView readArray(const InputDescriptor& file, std::uint64_t allowedBytes, const CancelCheck& cancel,
+ParticleView readArray(const InputFile& file, std::uint64_t allowedBytes, const CancelCheck& cancel,
                        PointFileInfo& info)
 {
     const auto storage = std::make_shared<ArrayStorage>();
     ArrayStorage& data = *storage;
     data.bytes = readBytes(file, cancel);
-    const FileBytes bytes(static_cast<const unsigned char*>(data.bytes.data()), file.bytes());
+    const FileBytes bytes(static_cast<const unsigned char*>(data.bytes.data()),
+                          static_cast<std::size_t>(file.size()));
     bool isDouble = false;
     if (info.format == "npy") {
         const NpyLayout layout = parseNpy(info.path, bytes);
         isDouble = layout.isDouble;
         data.view = isDouble ? viewOfNpy<double>(data.bytes, layout) : viewOfNpy<float>(data.bytes, layout);
     } else {
-        const std::uint64_t left = allowedBytes - file.bytes();
+        const std::uint64_t left = allowedBytes - static_cast<std::size_t>(file.size());
         data.positions = info.format == "ply" ? parsePly(info.path, bytes, left, cancel)
                                               : parseXyz(info.path, bytes, left, cancel);
         data.bytes = {};
@@ -255,9 +199,8 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
     data.info.format = lowerExtension(path);
     const std::string& format = data.info.format;
     std::error_code error;
-    if (std::filesystem::is_directory(path, error)) {
+    if (std::filesystem::is_directory(path, error))
         throw InputError(path + ": is a folder; give the name of a file in it");
-    }
     if (format != "vdb" && format != "npy" && format != "ply" && format != "xyz") {
         throw InvalidInput(path + ": unknown extension '" + format +
                            "'; point files are .vdb, .npy, .ply and .xyz");
@@ -266,18 +209,18 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
         throw InvalidInput(path + ": a ." + format + " file has no grids; leave the grid name '" +
                            options.grid + "' out");
     }
-    const InputDescriptor file(path); // of a .vdb too: it says what is wrong with a file that cannot be read
+    const InputFile file(path);
     const std::uint64_t allowedBytes =
         options.hostMemoryBytes ? options.hostMemoryBytes : availableMemoryBytes();
     const auto readFile = [&] {
         if (format == "vdb") {
-            data.vdb = VdbFile::read(path, options.grid, allowedBytes, options.progress);
+            const CancelCheck cancel(options.progress, "read");
+            data.vdb.emplace(file, options.grid, allowedBytes, cancel, data.info);
             data.view = data.vdb->view();
-            data.vdb->describe(data.info);
         } else {
             const CancelCheck cancel(options.progress, "read");
             cancel.update(0);
-            checkPointsFit(path, file.bytes(), allowedBytes);
+            checkPointsFit(path, static_cast<std::size_t>(file.size()), allowedBytes);
             data.view = readArray(file, allowedBytes, cancel, data.info);
             cancel.update(1);
         }
@@ -285,9 +228,10 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
     try {
         isolated(readFile);
     } catch (const std::bad_alloc&) {
-        throw CapacityError(path + ": the points of its " + std::to_string(file.bytes()) +
+        throw CapacityError(path + ": the points of its " +
+                                std::to_string(static_cast<std::size_t>(file.size())) +
                                 " bytes do not fit the memory: split the file or use a machine with more",
-                            file.bytes(), allowedBytes);
+                            static_cast<std::size_t>(file.size()), allowedBytes);
     }
     return result;
 }
@@ -320,7 +264,10 @@ void PointFile::writeVdb(const std::string& path, Span<const std::uint32_t> coun
                            ": result attributes are written to .vdb files only, and this is a ." +
                            mData->info.format + " file; write lists (.npz) instead");
     }
-    isolated([&] { mData->vdb->write(path, counts, prefix + "count", options, progress); });
+    isolated([&] {
+        writeVdbResult(mData->info.path, mData->vdb->chosenGrid(), path, counts, prefix + "count", options,
+                       progress);
+    });
 }
 
 } // namespace vdb_nns

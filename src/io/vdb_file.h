@@ -1,36 +1,38 @@
-// A .vdb file with a point grid, read and written through OpenVDB. Hides OpenVDB's headers from
-// point_file.cpp.
+// A .vdb file with a point grid: its points, and the same file again with one attribute more. Hides what reads and what
+// writes it from point_file.cpp.
 #pragma once
 
+#include "io/byte_source.h"
+#include "util/cancel.h"
 #include "vdb_nns/particle_view.h"
 #include "vdb_nns/point_file.h"
-#include "vdb_nns/progress.h"
 
+#include <cstddef>
 #include <cstdint>
-#include <memory>
 #include <string>
 
 namespace vdb_nns {
 
 class VdbFile {
 public:
-    virtual ~VdbFile() = default;
+    // Reads the chosen grid as PointFile::read() does, and fills in what the format says of it: all but points,
+    // nonfinite, bbox and transform. Throws CapacityError where its points take more than `allowedBytes`.
+    VdbFile(const ByteSource& file, const std::string& grid, std::uint64_t allowedBytes,
+            const CancelCheck& cancel, PointFileInfo& info);
 
-    // As PointFile::read(). Reads the chosen grid only; throws CapacityError where its bytes in the file, or all of a
-    // file without offsets, are more than `allowedBytes`.
-    static std::unique_ptr<VdbFile> read(const std::string& path, const std::string& grid,
-                                         std::uint64_t allowedBytes, Progress* progress);
+    const ParticleView& view() const { return mView; }
 
-    // Keeps the grid's memory alive.
-    virtual const ParticleView& view() const = 0;
+    // Of the file.
+    std::size_t chosenGrid() const { return mChosen; }
 
-    // Fills in what the format says: all but points, nonfinite, bbox and transform.
-    virtual void describe(PointFileInfo& info) const = 0;
-
-    // As PointFile::writeVdb(). Other grids are read from the file again, so it must still be there.
-    virtual void write(const std::string& path, Span<const std::uint32_t> counts,
-                       const std::string& attribute, const OutputOptions& options,
-                       Progress* progress) const = 0;
+private:
+    std::size_t mChosen = 0;
+    ParticleView mView;
 };
+
+// As PointFile::writeVdb(), by OpenVDB, which reads the file again: the grid of that number gets the attribute.
+void writeVdbResult(const std::string& from, std::size_t grid, const std::string& path,
+                    Span<const std::uint32_t> counts, const std::string& attribute,
+                    const OutputOptions& options, Progress* progress);
 
 } // namespace vdb_nns

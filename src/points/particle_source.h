@@ -1,6 +1,7 @@
 // What a ParticleView stands for. A stored position is voxel + offset in the coordinates of the source (arrays: voxel 0,
 // offset the position); its world position is linear() * (voxel + offset) + translation(). Implementations: arrays
-// (array_source.cpp), VDB point grids (vdb_source.cpp). Knows nothing of cells, radii or devices.
+// (array_source.cpp), VDB point grids of a host program (vdb_source.cpp) and of files (grid_points.cpp). Knows nothing of cells,
+// radii or devices.
 #pragma once
 
 #include "vdb_nns/particle_view.h"
@@ -14,7 +15,7 @@ namespace vdb_nns {
 struct FileLeaf {
     Vec3i origin;                // its lowest voxel
     std::uint64_t firstParticle; // its particles are numbered on from there, voxel by voxel
-    const std::uint32_t* ends;   // of 512 voxels, z fastest: its particles end there, counted in the leaf
+    std::uint32_t count;
 };
 
 class ParticleSource {
@@ -43,6 +44,9 @@ public:
     // Leaves with particles, in the order of their particles. None for arrays.
     virtual std::size_t fileLeafCount() const { return 0; }
     virtual FileLeaf fileLeaf(std::size_t) const { return {}; }
+
+    // The voxel of each of particles [begin, begin + count) in its leaf: 64 x + 8 y + z. Grids only. Thread-safe.
+    virtual void readVoxels(std::size_t /*begin*/, std::size_t /*count*/, std::uint16_t* /*out*/) const {}
 
 protected:
     std::size_t mSize = 0;

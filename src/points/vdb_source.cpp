@@ -3,9 +3,11 @@
 // needs no locks.
 #include "vdb_nns/openvdb_bridge.h"
 
+#include "points/leaf_lookup.h"
 #include "points/occupied_voxels.h"
 #include "points/particle_source.h"
 #include "points/point_attribute.h"
+#include "points/transform_check.h"
 #include "util/isolate.h"
 #include "vdb_nns/error.h"
 
@@ -16,10 +18,7 @@
 #include <oneapi/tbb/blocked_range.h>
 #include <oneapi/tbb/parallel_for.h>
 
-#include <Eigen/LU>
-
 #include <algorithm>
-#include <cmath>
 #include <limits>
 #include <memory>
 #include <vector>
@@ -104,19 +103,13 @@ void readTransform(const points::PointDataGrid& grid, Matrix3& linear, Vec3d& tr
                          "its transform's matrix is singular to OpenVDB; scale the scene up or repair " +
                          "the transform");
     }
-    Eigen::Matrix3d eigen;
     for (int row = 0; row < 3; ++row) {
         for (int column = 0; column < 3; ++column) {
             linear[row][column] = matrix(column, row); // OpenVDB multiplies row vectors
-            eigen(row, column) = linear[row][column];
         }
         translation[row] = matrix(3, row);
     }
-    // Rank by pivots relative to the largest one (3 epsilon), so that a tiny scale is no fault but a lost
-    // dimension is.
-    const bool isFinite =
-        eigen.allFinite() && std::isfinite(translation[0] + translation[1] + translation[2]);
-    if (!isFinite || !Eigen::FullPivLU<Eigen::Matrix3d>(eigen).isInvertible()) {
+    if (!isInvertible(linear, translation)) {
         throw InputError(gridText(grid) +
                          "the matrix of its transform is singular or not finite, so that its points " +
                          "have no place in space; repair the transform");
@@ -258,11 +251,9 @@ public:
               double* z) const override;
     std::size_t fileLeafCount() const override { return mLeaves.size(); }
     FileLeaf fileLeaf(std::size_t i) const override;
+    void readVoxels(std::size_t begin, std::size_t count, std::uint16_t* out) const override;
 
 private:
-    void setReference();
-    std::size_t leafOf(std::size_t i) const;
-
     points::PointDataGrid::ConstPtr mGrid; // keeps the leaves
     std::vector<LeafPoints> mLeaves;       // those with points
     std::vector<std::uint64_t> mStarts;    // number of a leaf's first point; one more at the end
@@ -295,19 +286,7 @@ VdbSource::VdbSource(const points::PointDataGrid::ConstPtr& grid) : mGrid(grid)
                            " points are more than one view holds (" +
                            std::to_string(std::numeric_limits<std::uint32_t>::max()) + "): split the grid");
     }
-    setReference();
-}
-
-void VdbSource::setReference()
-{
-    if (mLeaves.empty()) return;
-    for (int k = 0; k < 3; ++k) {
-        const auto [low, high] = std::minmax_element(
-            mLeaves.begin(), mLeaves.end(),
-            [k](const LeafPoints& a, const LeafPoints& b) { return a.origin[k] < b.origin[k]; });
-        const std::int64_t sum = std::int64_t(low->origin[k]) + high->origin[k];
-        mReference[k] = static_cast<double>(sum / 2);
-    }
+    mReference = middleOfLeaves(mLeaves.size(), [this](std::size_t i) { return fileLeaf(i).origin; });
 }
 
 FileLeaf VdbSource::fileLeaf(std::size_t i) const
@@ -315,18 +294,7 @@ FileLeaf VdbSource::fileLeaf(std::size_t i) const
     const openvdb::Coord& origin = mLeaves[i].origin;
     return {{origin.x(), origin.y(), origin.z()},
             mStarts[i],
-            reinterpret_cast<const std::uint32_t*>(mLeaves[i].ends)};
-}
-
-std::size_t VdbSource::leafOf(std::size_t i) const
-{
-    // Neighbors mostly share their query's leaf. The hint is only a guess: it is checked against this
-    // source's starts.
-    thread_local std::size_t hint = 0;
-    if (hint < mLeaves.size() && mStarts[hint] <= i && i < mStarts[hint + 1]) return hint;
-    hint =
-        static_cast<std::size_t>(std::upper_bound(mStarts.begin(), mStarts.end(), i) - mStarts.begin()) - 1;
-    return hint;
+            static_cast<std::uint32_t>(mStarts[i + 1] - mStarts[i])};
 }
 
 // The voxel of a leaf's point: how many voxels end at or before it. Where points are spread evenly, as on a lattice, the
@@ -346,7 +314,7 @@ openvdb::Index voxelOf(const VoxelOffset* ends, openvdb::Index32 point)
 
 StoredPosition VdbSource::stored(std::size_t i) const
 {
-    const std::size_t index = leafOf(i);
+    const std::size_t index = leafOf(mStarts, i);
     const LeafPoints& leaf = mLeaves[index];
     const openvdb::Index32 local = static_cast<openvdb::Index32>(i - mStarts[index]);
     const openvdb::Coord inLeaf = Leaf::offsetToLocalCoord(voxelOf(leaf.ends, local));
@@ -423,6 +391,23 @@ void VdbSource::read(std::size_t begin, std::size_t count, const Vec3d& referenc
             readLeafBy<Fixed8Codec>(leaf, first, last, corner, out);
             break;
         }
+    }
+}
+
+void VdbSource::readVoxels(std::size_t begin, std::size_t count, std::uint16_t* out) const
+{
+    if (count == 0) return;
+    std::size_t index = leafOf(mStarts, begin);
+    for (std::size_t next = begin; next < begin + count; ++index) {
+        const LeafPoints& leaf = mLeaves[index];
+        const std::size_t end = std::min<std::size_t>(mStarts[index + 1], begin + count) - mStarts[index];
+        std::size_t point = next - mStarts[index];
+        for (openvdb::Index voxel = voxelOf(leaf.ends, static_cast<openvdb::Index32>(point)); point < end;
+             ++voxel) {
+            const std::size_t last = std::min<std::size_t>(openvdb::Index32(leaf.ends[voxel]), end);
+            for (; point < last; ++point) *out++ = static_cast<std::uint16_t>(voxel);
+        }
+        next = mStarts[index] + end;
     }
 }
 

@@ -69,7 +69,7 @@ class BadFiles(CliCase):
         root = struct.pack("<4I", 1, 0, 0, 1)  # a buffer, background, tiles, children
         self.assertEqual(data.count(root), 1)
         data[data.index(root) + 12] = 0
-        self.rejects(self.text("rootless.vdb", bytes(data)), "damaged: grid 'points' was read up to byte", "write")
+        self.rejects(self.text("rootless.vdb", bytes(data)), "damaged: grid 'points': expected the end of the grid, which", "write")
 
     def test_unsupported_grids(self):
         self.rejects(self.fixture("frustum.vdb"), "points")
