@@ -20,6 +20,8 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <cstring>
+#include <utility>
 
 namespace vdb_nns {
 
@@ -80,15 +82,19 @@ VdbDescriptor readDescriptor(VdbCursor& cursor)
 VdbArray readArray(VdbCursor& cursor, const VdbDescriptor::Attribute& attribute)
 {
     const std::uint64_t at = cursor.position();
+    // At once, for there are many of them.
+    const unsigned char* const header = cursor.take(14, "the size, flags and points of an attribute");
     VdbArray array;
-    array.bytes = cursor.number<std::uint64_t>("the size of an attribute") - kArrayHeaderBytes;
-    array.hasConstantStride = cursor.number<std::uint8_t>("the flags of an attribute") & kConstantStride;
-    const auto storage = cursor.number<std::uint8_t>("the storage of an attribute");
-    array.size = cursor.number<std::uint32_t>("the number of points of an attribute");
-    if (storage >= kFirstUnknownFlag)
+    std::memcpy(&array.bytes, header, sizeof array.bytes);
+    std::memcpy(&array.size, header + 10, sizeof array.size);
+    array.bytes -= kArrayHeaderBytes;
+    array.hasConstantStride = header[8] & kConstantStride;
+    const std::uint8_t storage = header[9];
+    if (storage >= kFirstUnknownFlag) {
         cursor.fail("storage flags of attribute '" + attribute.name + "' below 16, not " +
                         std::to_string(storage) + ",",
-                    at);
+                    at + 9);
+    }
     array.isUniform = storage & kUniform;
     array.isPaged = storage & kPaged;
     if (storage & kStrided) array.stride = cursor.number<std::uint32_t>("the stride of an attribute");
@@ -137,9 +143,16 @@ private:
     {
         std::vector<std::uint64_t>& begin = mLayout.voxelsBegin;
         begin.reserve(mLayout.leaves.size() + 1);
-        for (std::size_t leaf = 0; leaf < mLayout.leaves.size(); ++leaf) {
-            const auto size = mCursor.number<std::uint16_t>("the size of a leaf's voxel offsets");
-            begin.push_back(kMaskBytes + sizeof size + (size == kNotCompressed ? kOffsetBytes : size));
+        const std::size_t leaves = mLayout.leaves.size();
+        constexpr std::size_t kAtOnce = 4096;
+        for (std::size_t first = 0; first < leaves; first += kAtOnce) {
+            std::uint16_t sizes[kAtOnce];
+            const std::size_t count = std::min(kAtOnce, leaves - first);
+            std::memcpy(sizes, mCursor.take(count * sizeof *sizes, "sizes of the leaves' voxel offsets"),
+                        count * sizeof *sizes);
+            for (std::size_t i = 0; i < count; ++i)
+                begin.push_back(kMaskBytes + sizeof *sizes +
+                                (sizes[i] == kNotCompressed ? kOffsetBytes : sizes[i]));
         }
     }
 
@@ -227,12 +240,10 @@ private:
 
     void placeVoxels()
     {
-        for (std::uint64_t& begin : mLayout.voxelsBegin) {
-            const std::uint64_t bytes = begin;
-            begin = mCursor.position();
-            mCursor.skip(bytes, "the voxel offsets of a leaf");
-        }
-        mLayout.voxelsBegin.push_back(mCursor.position());
+        std::uint64_t next = mCursor.position();
+        for (std::uint64_t& begin : mLayout.voxelsBegin) next += std::exchange(begin, next);
+        mCursor.skip(next - mCursor.position(), "the voxel offsets of the leaves");
+        mLayout.voxelsBegin.push_back(next);
     }
 
     void placePieces(std::vector<VdbPiece>& pieces)

@@ -49,10 +49,9 @@ std::vector<Chunk> chunksOf(const VdbPointLayout& layout, VdbLeafRange leaves)
 }
 
 // Appends the voxel of each point of a leaf.
-void appendVoxels(const std::uint32_t* ends, std::vector<std::uint16_t>& voxels)
+void appendVoxels(const std::uint32_t* ends, const std::uint64_t* occupied,
+                  std::vector<std::uint16_t>& voxels)
 {
-    std::uint64_t occupied[8];
-    findOccupied(ends, occupied);
     const std::size_t before = voxels.size();
     voxels.resize(before + ends[kVoxels - 1]);
     std::uint16_t* out = voxels.data() + before;
@@ -64,13 +63,6 @@ void appendVoxels(const std::uint32_t* ends, std::vector<std::uint16_t>& voxels)
             for (const std::uint32_t end = ends[voxel]; point < end; ++point) *out++ = voxel;
         }
     }
-}
-
-bool ascend(const std::uint32_t* ends)
-{
-    bool result = true;
-    for (std::size_t n = 1; n < kVoxels; ++n) result &= ends[n - 1] <= ends[n];
-    return result;
 }
 
 // Memory of a thread, reused.
@@ -295,13 +287,24 @@ private:
         const std::uint64_t begin = mLayout.voxelsBegin[chunk.firstLeaf];
         const unsigned char* const bytes =
             readBytes(mFile, begin, mLayout.voxelsBegin[chunk.endLeaf] - begin, scratch.stored);
+        std::uint64_t most = 0; // points, as the arrays say, which need not be right
+        for (std::size_t leaf = chunk.firstLeaf; leaf < chunk.endLeaf; ++leaf)
+            most += mLayout.arrayCount(leaf) > 0 ? mLayout.array(leaf, 0).size : 0;
+        chunk.voxels.reserve(static_cast<std::size_t>(most));
         alignas(16) std::uint32_t ends[kVoxels];
+        std::uint64_t occupied[kVoxels / 64];
         for (std::size_t leaf = chunk.firstLeaf; leaf < chunk.endLeaf; ++leaf) {
             const std::uint64_t at = mLayout.voxelsBegin[leaf];
             readEnds(leaf, bytes + (at - begin), ends);
+            if (!findOccupied(ends, occupied)) {
+                failDamaged(mFile.name(), mPart,
+                            "voxel offsets that do not decrease, in the leaf at " +
+                                coordText(mLayout.leaves[leaf]) + ",",
+                            at);
+            }
             points.begins[leaf - points.leaves.begin] = ends[kVoxels - 1];
             checkCounts(leaf, ends[kVoxels - 1]);
-            appendVoxels(ends, chunk.voxels);
+            appendVoxels(ends, occupied, chunk.voxels);
         }
     }
 
@@ -328,12 +331,6 @@ private:
                             coordText(mLayout.leaves[leaf]),
                         at + kMaskBytes + sizeof stored);
         }
-        if (!ascend(ends)) {
-            failDamaged(mFile.name(), mPart,
-                        "voxel offsets that do not decrease, in the leaf at " +
-                            coordText(mLayout.leaves[leaf]) + ",",
-                        at);
-        }
     }
 
     // The arrays of a leaf and its offsets agree, and it has positions.
@@ -351,24 +348,30 @@ private:
         }
         if (count == 0) return;
         const std::size_t place = mPositionPlaces[mLayout.descriptorOf[leaf]];
-        const std::string text = mFile.name() + ": " + mPart + ": ";
         if (place == VdbDescriptor::kNone)
-            throw InputError(text + "the leaf at " + coordText(mLayout.leaves[leaf]) + " has no attribute P");
+            fail("the leaf at " + coordText(mLayout.leaves[leaf]) + " has no attribute P");
         const VdbDescriptor::Attribute& attribute = mLayout.descriptor(leaf).attributes[place];
-        const VdbCodec codec = attribute.type.codec;
-        const bool isRead = attribute.type.isKnown && attribute.valueType == "vec3s" &&
-                            (codec == VdbCodec::kPlain || codec == VdbCodec::kHalf ||
-                             codec == VdbCodec::kPosition8 || codec == VdbCodec::kPosition16);
-        if (!isRead) {
-            throw InputError(
-                text + "P has type " + attribute.valueType + " with codec " + attribute.codec +
-                ", which is not supported; convert it to vec3s with codec null, trnc, fxpt16 or fxpt8");
+        if (!isPosition(attribute.type)) {
+            fail("P has type " + attribute.valueType + " with codec " + attribute.codec +
+                 ", which is not supported; convert it to vec3s with codec null, trnc, fxpt16 or fxpt8");
         }
         const VdbArray& array = mLayout.array(leaf, place);
         if (!array.hasConstantStride || array.stride != 1) {
-            throw InputError(text + "P has " + std::to_string(array.hasConstantStride ? array.stride : 0) +
-                             " values a point instead of one");
+            fail("P has " + std::to_string(array.hasConstantStride ? array.stride : 0) +
+                 " values a point instead of one");
         }
+    }
+
+    static bool isPosition(const VdbAttributeType& type)
+    {
+        return type.isKnown && type.scalar == VdbScalar::kFloat && type.components == 3 &&
+               (type.codec == VdbCodec::kPlain || type.codec == VdbCodec::kHalf ||
+                type.codec == VdbCodec::kPosition8 || type.codec == VdbCodec::kPosition16);
+    }
+
+    [[noreturn]] void fail(const std::string& what) const
+    {
+        throw InputError(mFile.name() + ": " + mPart + ": " + what);
     }
 
     const ByteSource& mFile;
