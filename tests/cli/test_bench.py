@@ -1,6 +1,7 @@
 """bench: every method runs, is right, and reports in the agreed form."""
 import csv
 import os
+import tempfile
 
 import numpy as np
 
@@ -23,7 +24,7 @@ class Bench(CliCase):
                      "nearest32", "nearest16", "openvdb", "brute-force"):
             self.assertIn(name, names)
         self.check_nanoflann(names)
-        for study in ("estimators", "budgets", "resolution", "scaling", "model_share", "savings", "stability"):
+        for study in ("estimators", "budgets", "resolution", "scaling", "model_share", "savings", "files", "stability"):
             self.assertEqual(report[study], [])
         for result in report["results"]:
             self.assertEqual((result["scene"], result["points"]), ("clusters", 3000))
@@ -247,12 +248,32 @@ class Bench(CliCase):
         self.fails(2, *args, "--estimator", "guess", says=["--estimator", "guess", "expected"])
         self.fails(2, *args, "--estimator", "")
 
+    def test_files(self):
+        for args in (("--scene", "spray", "-n", "5000"), (self.scene("block"), "-g", "points"),
+                     (self.npy("a.npy", np.random.default_rng(1).random((500, 3))), "-r", "0.1")):
+            before = set(os.listdir(tempfile.gettempdir()))
+            report = self.report("bench", *args, "--study", "files", "--repeat", "2")
+            self.assertEqual({name for name in set(os.listdir(tempfile.gettempdir())) - before if "vdb_nns_bench" in name}, set())
+            (entry,) = report["files"]
+            seconds = entry["seconds"]
+            self.assertEqual(seconds["openvdb_read"] is None, str(args[0]).endswith(".npy"))
+            for step in ("read", "grid", "grid_of_array", "search", "copy", "whole"):
+                self.assertGreater(seconds[step], 0, step)
+            floor = seconds["copy"] + seconds["grid"] + seconds["search"]
+            self.assertAlmostEqual(entry["whole_over_floor"], seconds["whole"] / floor)
+            # indptr, indices and ones, and what is around them
+            arrays = 8 * (entry["points"] + 1) + 5 * entry["pairs"]
+            self.assertTrue(arrays < entry["output_bytes"] < arrays + 2000)
+            text = self.succeeds("bench", *args, "--study", "files", "--repeat", "1").out
+            self.assertRegex(text, r"files: search IN -o OUT\.npz")
+        self.fails(2, "bench", *args, "--study", "files", "--shuffle", "1", says="--shuffle")
+
     def test_every_study(self):
         page = self.path("page.html")
         report = self.report("bench", "--scene", "dam_break", "-n", "4000", "--repeat", "1", "--study", "all", "--method",
                              "ours-index,filter-only,nearest8", "--chart", page)
         scene = {entry["scene"] for study in ("results", "estimators", "budgets", "resolution", "scaling", "model_share",
-                                              "savings") for entry in report[study]}
+                                              "savings", "files") for entry in report[study]}
         self.assertEqual(scene, {"dam_break"})
         self.assertEqual([round(100 * b["share"]) for b in report["budgets"]], 2 * [100, 50, 25, 10, 5, 2, 1])
         for budget in report["budgets"]:

@@ -28,7 +28,8 @@ namespace vdb_nns::cli {
 namespace {
 
 // What a benchmark can look at, in the order in which it does.
-constexpr const char* kStudies[] = {"methods", "estimators", "budgets", "resolution", "scaling", "model"};
+constexpr const char* kStudies[] = {"methods", "estimators", "budgets", "resolution",
+                                    "scaling", "model",      "files"};
 
 // What makes a scene. --seed is also that of samples.
 constexpr const char* kSceneFlags[] = {"--count",  "--spacing",  "--radius-factor", "--voxel-size",
@@ -82,7 +83,7 @@ void addFlags(CLI::App& app, BenchFlags& flags)
            "what to look at, separated by commas: methods, estimators, budgets (memory of a device), "
            "resolution "
            "(cell sizes), scaling (particles, threads, radius, clustering), model (what planning takes and "
-           "saves), or all; default: methods, with --chart all")
+           "saves), files (reading, writing and whole commands), or all; default: methods, with --chart all")
         ->type_name("LIST")
         ->check(notEmpty());
     app.add_flag(
@@ -302,7 +303,8 @@ class Bench {
 public:
     Bench(const BenchFlags& flags, const BenchPlan& plan, const BenchPoints& points, double radius,
           int threads, ProgressPrinter& progress)
-        : mPlan(plan),
+        : mFlags(flags),
+          mPlan(plan),
           mPoints(points),
           mRadius(radius),
           mThreads(threads),
@@ -350,6 +352,8 @@ private:
         } else if (study == "scaling") {
             report.scaling =
                 studyScaling(mPoints, methodOptions(growingMethods(mSuits)), truthOptions(), span);
+        } else if (study == "files") {
+            report.files = {studyFiles(mPoints.scene, fileOptions(), span)};
         } else {
             report.model = studyModel(mPoints, {mModelSetup, mRadius, mPlan.repeat}, span);
         }
@@ -362,11 +366,24 @@ private:
         return options;
     }
 
+    // Of the file, or of a scene in one.
+    FileStudyOptions fileOptions()
+    {
+        FileStudyOptions options{mFlags.input.path, mFlags.input.grid, mSetup.options,
+                                 mRadius,           mThreads,          mPlan.repeat};
+        if (!mPlan.scene) return options;
+        mFolder.emplace();
+        options.path = mFolder->file(mPlan.scene->name + ".vdb");
+        writeScene(options.path, makeScene(*mPlan.scene, &mProgress), *mPlan.scene, {}, &mProgress);
+        return options;
+    }
+
     MethodStudyOptions methodOptions(std::vector<MethodSpec> methods) const
     {
         return {std::move(methods), mSetup, mRadius, mThreads, mPlan.repeat};
     }
 
+    const BenchFlags& mFlags;
     const BenchPlan& mPlan;
     const BenchPoints& mPoints;
     double mRadius;
@@ -374,6 +391,7 @@ private:
     ProgressPrinter& mProgress;
     MethodSuits mSuits;
     MethodSetup mSetup, mModelSetup;
+    std::optional<TemporaryFolder> mFolder;
 };
 
 void runStudies(const BenchFlags& flags, const BenchPlan& plan, int threads, ProgressPrinter& progress,

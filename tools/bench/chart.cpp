@@ -1,5 +1,6 @@
 #include "bench/chart.h"
 
+#include "bench/run_program.h"
 #include "vdb_nns/error.h"
 
 #include <array>
@@ -7,15 +8,11 @@
 #include <fcntl.h>
 #include <filesystem>
 #include <optional>
-#include <spawn.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
-#include <sys/wait.h>
 #include <system_error>
 #include <unistd.h>
 #include <vector>
-
-extern char** environ;
 
 namespace vdb_nns::cli {
 namespace {
@@ -74,33 +71,12 @@ private:
     int mDescriptor;
 };
 
-// Runs a program on these descriptors as its standard streams. Returns the exit status, 127 where it cannot be run.
-int run(const std::vector<std::string>& command, const std::array<int, 3>& streams)
-{
-    std::vector<char*> arguments;
-    for (const std::string& part : command) arguments.push_back(const_cast<char*>(part.c_str()));
-    arguments.push_back(nullptr);
-    posix_spawn_file_actions_t actions;
-    posix_spawn_file_actions_init(&actions);
-    for (int k = 0; k < 3; ++k)
-        posix_spawn_file_actions_adddup2(&actions, streams[static_cast<std::size_t>(k)], k);
-    posix_spawn_file_actions_addchdir_np(&actions, "/"); // where no matplotlibrc lies
-    pid_t child = 0;
-    const int error = posix_spawnp(&child, arguments[0], &actions, nullptr, arguments.data(), environ);
-    posix_spawn_file_actions_destroy(&actions);
-    if (error != 0) return 127;
-    int status = 0;
-    while (waitpid(child, &status, 0) < 0 && errno == EINTR) {
-    }
-    return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
-}
-
 // Runs Python isolated (-I): of what lies in the folder that the program was started in nothing is imported.
 int runPython(const std::string& python, std::vector<std::string> arguments,
               const std::array<int, 3>& streams)
 {
     arguments.insert(arguments.begin(), {python, "-I", "-B"});
-    return run(arguments, streams);
+    return runProgram(arguments, streams, "/"); // where no matplotlibrc lies
 }
 
 // The Python of the PATH may be another one than the system's, which has the system's packages.

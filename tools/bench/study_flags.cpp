@@ -16,8 +16,8 @@ struct StudyFlag {
 // Flags that are not here are heeded whatever is looked at.
 const std::vector<StudyFlag>& studyFlags()
 {
-    const std::vector<const char*> withPoints = {"methods",    "estimators", "budgets",
-                                                 "resolution", "scaling",    "model"};
+    const std::vector<const char*> withPoints = {"methods", "estimators", "budgets", "resolution",
+                                                 "scaling", "model",      "files"};
     static const std::vector<StudyFlag> flags = {
         {"--method", {"methods", "stability"}},
         {"--estimator", {"estimators"}},
@@ -28,7 +28,7 @@ const std::vector<StudyFlag>& studyFlags()
         {"--sim", {"methods", "budgets", "model"}},
         {"--cell-size", {"methods", "estimators", "budgets", "scaling", "model"}},
         {"--repeat", withPoints},
-        {"--shuffle", withPoints},
+        {"--shuffle", {"methods", "estimators", "budgets", "resolution", "scaling", "model"}},
         {"--seed", withPoints},
         {"--points-out", withPoints},
         {"--radius", withPoints},

@@ -14,6 +14,10 @@ std::vector<Real> worldPositions(const ParticleView& view);
 
 std::unique_ptr<Method> makeOpenVdbPeer();
 
+/// Seconds that openvdb::io::File takes to read all grids of a file.
+/// @throws openvdb::Exception
+double timeOpenVdbRead(const std::string& path);
+
 /// Whether the program was built with nanoflann.
 bool hasNanoflann();
 /// Null without it.

@@ -232,6 +232,7 @@ std::string benchJson(const BenchReport& report)
     json["scaling"] = scalingJson(report.scaling);
     json["model_share"] = modelSharesJson(report.model.shares);
     json["savings"] = savingsJson(report.model.savings);
+    json["files"] = filesJson(report.files);
     json["stability"] = stabilityJson(report.stability);
     return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
@@ -281,7 +282,7 @@ std::string benchText(const BenchReport& report)
     if (!results.empty()) text += refusalsText(report.results); // else the first one is the error
     return text + estimatorsText(report.estimators) + budgetsText(report.budgets) +
            resolutionText(report.resolution) + scalingText(report.scaling) + modelText(report.model) +
-           (report.stability.empty() ? "" : stabilityText(report.stability));
+           filesText(report.files) + (report.stability.empty() ? "" : stabilityText(report.stability));
 }
 
 } // namespace vdb_nns::cli

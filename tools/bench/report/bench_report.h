@@ -5,6 +5,7 @@
 #include "bench/stability/matrix.h"
 #include "bench/studies/budget_study.h"
 #include "bench/studies/estimators.h"
+#include "bench/studies/file_study.h"
 #include "bench/studies/method_study.h"
 #include "bench/studies/model_study.h"
 #include "bench/studies/resolution_study.h"
@@ -26,6 +27,7 @@ struct BenchReport {
     std::vector<ResolutionResult> resolution;
     std::vector<ScalingResult> scaling;
     ModelStudy model;
+    std::vector<FileResult> files;
     std::vector<StabilityTrial> stability;
 };
 

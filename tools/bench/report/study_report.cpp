@@ -180,6 +180,25 @@ Json savingsJson(const std::vector<Saving>& savings)
     return array;
 }
 
+Json filesJson(const std::vector<FileResult>& files)
+{
+    Json array = Json::array();
+    for (const FileResult& f : files) {
+        Json seconds = {
+            {"read", f.readSeconds},     {"grid", f.gridSeconds}, {"grid_of_array", f.arrayGridSeconds},
+            {"search", f.searchSeconds}, {"copy", f.copySeconds}, {"whole", f.wholeSeconds}};
+        seconds["openvdb_read"] = f.openVdbReadSeconds ? Json(*f.openVdbReadSeconds) : Json(nullptr);
+        array.push_back({{"scene", f.scene},
+                         {"points", f.points},
+                         {"pairs", f.pairs},
+                         {"input_bytes", f.inputBytes},
+                         {"output_bytes", f.outputBytes},
+                         {"seconds", seconds},
+                         {"whole_over_floor", ratio(f.wholeSeconds, f.floorSeconds())}});
+    }
+    return array;
+}
+
 std::string estimatorsText(const std::vector<EstimatorResult>& estimators)
 {
     if (estimators.empty()) return "";
@@ -247,6 +266,26 @@ std::string scalingText(const std::vector<ScalingResult>& scaling)
                        ratio(1e9 * r.totalSeconds, static_cast<double>(r.points)),
                        ratio(1e9 * r.totalSeconds, static_cast<double>(r.pairs)),
                        r.accuracy.missingPerMillion() + r.accuracy.extraPerMillion());
+    }
+    return text;
+}
+
+std::string filesText(const std::vector<FileResult>& files)
+{
+    if (files.empty()) return "";
+    std::string text =
+        format("\nfiles: search IN -o OUT.npz, against copying both, grid and search\n%-16s %9s %9s %9s "
+               "%9s %9s %9s %9s %9s %9s %7s\n",
+               "scene", "in MB", "out MB", "read s", "OpenVDB", "grid s", "of array", "search s", "copy s",
+               "whole s", "ratio");
+    for (const FileResult& f : files) {
+        text += format("%-16s %9.1f %9.1f %9.4f ", rowScene(f.scene).c_str(),
+                       static_cast<double>(f.inputBytes) / 1e6, static_cast<double>(f.outputBytes) / 1e6,
+                       f.readSeconds);
+        text += f.openVdbReadSeconds ? format("%9.4f", *f.openVdbReadSeconds) : format("%9s", "-");
+        text +=
+            format(" %9.4f %9.4f %9.4f %9.4f %9.4f %7.2f\n", f.gridSeconds, f.arrayGridSeconds,
+                   f.searchSeconds, f.copySeconds, f.wholeSeconds, ratio(f.wholeSeconds, f.floorSeconds()));
     }
     return text;
 }

@@ -16,11 +16,13 @@ nlohmann::ordered_json resolutionJson(const std::vector<ResolutionResult>& resol
 nlohmann::ordered_json scalingJson(const std::vector<ScalingResult>& scaling);
 nlohmann::ordered_json modelSharesJson(const std::vector<ModelShare>& shares);
 nlohmann::ordered_json savingsJson(const std::vector<Saving>& savings);
+nlohmann::ordered_json filesJson(const std::vector<FileResult>& files);
 
 std::string estimatorsText(const std::vector<EstimatorResult>& estimators);
 std::string budgetsText(const std::vector<BudgetResult>& budgets);
 std::string resolutionText(const std::vector<ResolutionResult>& resolution);
 std::string scalingText(const std::vector<ScalingResult>& scaling);
 std::string modelText(const ModelStudy& model);
+std::string filesText(const std::vector<FileResult>& files);
 
 } // namespace vdb_nns::cli
