@@ -1,12 +1,12 @@
 // Scenes into .vdb files: one point grid named `points`. The only file of the scenes with OpenVDB. Points of a voxel
 // keep the order of the scene, whatever the number of threads.
 #include "io/output_file.h"
+#include "io/vdb/seekable_archive.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/scene.h"
 
-#include <openvdb/io/Archive.h>
 #include <openvdb/openvdb.h>
 #include <openvdb/points/AttributeArray.h>
 #include <openvdb/points/AttributeSet.h>
@@ -197,15 +197,6 @@ PointDataGrid::Ptr makeGrid(const Scene& scene, const std::string& codec, const 
     throw InvalidInput("scene: unknown codec '" + codec + "'; P can have null, trnc, fxpt16 or fxpt8");
 }
 
-// OpenVDB's io::File writes to paths only, and its io::Stream leaves out the offsets that io::File wants to read.
-class SeekableArchive : public openvdb::io::Archive {
-public:
-    void writeGrid(std::ostream& stream, const openvdb::GridBase::ConstPtr& grid) const
-    {
-        this->write(stream, openvdb::GridCPtrVec{grid}, /*seekable=*/true);
-    }
-};
-
 void writeSceneFile(const std::string& path, const Scene& scene, const SceneOptions& options,
                     const OutputOptions& output, Progress* progress)
 {
@@ -222,8 +213,7 @@ void writeSceneFile(const std::string& path, const Scene& scene, const SceneOpti
     OutputStreamBuffer buffer(file, [&](std::uint64_t) { cancel.check(); });
     std::ostream stream(&buffer);
     stream.exceptions(std::ios::badbit);
-    const SeekableArchive archive;
-    archive.writeGrid(stream, grid);
+    SeekableArchive().writeTo(stream, {grid});
     stream.flush();
     cancel.update(1);
     file.commit();

@@ -2,13 +2,13 @@
 // should be has been found by readers of our own before.
 #include "io/output_file.h"
 #include "io/vdb/archive.h"
+#include "io/vdb/seekable_archive.h"
 #include "io/vdb_file.h"
 #include "points/point_attribute.h"
 #include "util/cancel.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/memory.h"
 
-#include <openvdb/io/Archive.h>
 #include <openvdb/io/GridDescriptor.h>
 
 #include <algorithm>
@@ -189,18 +189,6 @@ private:
     std::istream mStream{&mBuffer};
     openvdb::io::StreamMetadata::Ptr mStreamMetadata = std::make_shared<openvdb::io::StreamMetadata>();
     openvdb::MetaMap mMetadata;
-};
-
-// io::File's own writer does not notice a full disk; this one writes to a stream that throws.
-class SeekableArchive final : public openvdb::io::Archive {
-public:
-    void writeTo(std::ostream& out, const openvdb::GridCPtrVec& grids, const openvdb::MetaMap& metadata) const
-    {
-        write(out, grids, /*seekable=*/true, metadata);
-    }
-
-private:
-    using openvdb::io::Archive::write;
 };
 
 // The flags that the archive was written with. A grid's own lack those that its class does not use.
