@@ -34,6 +34,14 @@ class BadFiles(CliCase):
         self.rejects(self.text("text.vdb", "this is not a volume " * 100))
         self.rejects(self.fixture("no_points.vdb"))
 
+    def test_pipes_and_devices(self):
+        for name in ("pipe.vdb", "pipe.xyz"):
+            os.mkfifo(self.path(name))
+            self.rejects(self.path(name), "a pipe", "to a file first")
+        for name in ("device.vdb", "device.npy"):
+            os.symlink("/dev/zero", self.path(name))
+            self.rejects(self.path(name), "a device", "to a file first")
+
     def test_vdb_truncated_anywhere(self):
         path = self.scene("block", 2000)
         with open(path, "rb") as file:

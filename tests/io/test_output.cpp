@@ -118,6 +118,23 @@ TEST_F(OutputTest, doesNotReplaceAFileThatCameIntoBeingMeanwhile)
     EXPECT_EQ(contents(path("a")), "other");
 }
 
+TEST_F(OutputTest, saysThatItsFolderHasVanished)
+{
+    fs::create_directory(path("folder"));
+    OutputFile file(path("folder/a"), {});
+    file.writeAt(0, "new", 3);
+    fs::remove_all(path("folder"));
+    file.writeAt(3, "er", 2); // the system keeps what is open
+    try {
+        file.commit();
+        ADD_FAILURE() << "committed";
+    } catch (const OutputError& error) {
+        EXPECT_NE(std::string(error.what()).find("create the folder first"), std::string::npos)
+            << error.what();
+    }
+    EXPECT_EQ(fileCount(), 0u);
+}
+
 TEST_F(OutputTest, refusesWhatIsNoRegularFile)
 {
     fs::create_directory(path("folder"));

@@ -11,7 +11,8 @@ namespace vdb_nns {
 // io::File wants to read.
 class SeekableArchive final : public openvdb::io::Archive {
 public:
-    void writeTo(std::ostream& out, const openvdb::GridCPtrVec& grids, const openvdb::MetaMap& metadata = {}) const
+    void writeTo(std::ostream& out, const openvdb::GridCPtrVec& grids,
+                 const openvdb::MetaMap& metadata = {}) const
     {
         write(out, grids, /*seekable=*/true, metadata);
     }
