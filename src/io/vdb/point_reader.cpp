@@ -155,7 +155,8 @@ private:
         }
     }
 
-    // Whether the decompressed page is what the points' values are.
+    // Whether the decompressed page is what the points' values are: all of them, and no point between them is of a leaf that
+    // has the attribute elsewhere or not at all.
     bool isPlain(std::size_t place, const VdbPiece& page) const
     {
         bool result = true;
@@ -163,14 +164,14 @@ private:
             result = result && !array.isUniform && isWanted(leaf, place) &&
                      typeOf(leaf, place).codec == VdbCodec::kPlain;
         });
-        return result;
+        return result && // the first and the last leaf have arrays in it, and so are among the points
+               (mPoints.begin(page.endLeaf) - mPoints.begin(page.firstLeaf)) * mValueBytes == page.pageBytes;
     }
 
     void decodePage(std::size_t place, const VdbPiece& page, Scratch& scratch) const
     {
         if (page.pageBytes > kMostExpansion * page.storedBytes)
             fail("a page that decompresses to less than " + std::to_string(page.pageBytes) + " bytes", page);
-        // Pages hold the arrays of their leaves without a gap, and so do the points.
         unsigned char* const direct =
             isPlain(place, page) ? mOut + mPoints.begin(page.firstLeaf) * mValueBytes : nullptr;
         if (direct && !page.isCompressed)
