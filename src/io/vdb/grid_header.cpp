@@ -59,11 +59,9 @@ void readScale(VdbCursor& cursor, VdbTransform& transform)
     for (int k = 0; k < 3; ++k) transform.linear[k][k] = scale[k];
 }
 
-VdbTransform readTransform(VdbCursor& cursor)
+// A linear map. False where the type is none of them.
+bool readLinearMap(VdbCursor& cursor, VdbTransform& transform)
 {
-    VdbTransform transform;
-    const std::uint64_t at = cursor.position();
-    transform.mapType = cursor.text("the type of the transform");
     const std::string& type = transform.mapType;
     if (type == "AffineMap" || type == "UnitaryMap") {
         readAffineMap(cursor, transform);
@@ -74,12 +72,27 @@ VdbTransform readTransform(VdbCursor& cursor)
     } else if (type == "ScaleTranslateMap" || type == "UniformScaleTranslateMap") {
         transform.translation = readVec3d(cursor);
         readScale(cursor, transform);
-    } else if (type == "NonlinearFrustumMap") {
-        transform.isLinear = false;
     } else {
-        cursor.fail("a transform that OpenVDB has (its type is '" + type + "')", at);
+        return false;
     }
-    return transform;
+    return true;
+}
+
+VdbTransform readTransform(VdbCursor& cursor)
+{
+    VdbTransform transform;
+    std::uint64_t at = cursor.position();
+    transform.mapType = cursor.text("the type of the transform");
+    transform.isLinear = transform.mapType != "NonlinearFrustumMap";
+    VdbTransform inner = transform;
+    if (!transform.isLinear) { // a box, taper, depth, and a linear map
+        cursor.skip((6 + 1 + 1) * sizeof(double), "the transform");
+        at = cursor.position();
+        inner.mapType = cursor.text("the type of the transform");
+    }
+    if (!readLinearMap(cursor, inner))
+        cursor.fail("a transform that OpenVDB has (its type is '" + inner.mapType + "')", at);
+    return transform.isLinear ? inner : transform;
 }
 
 } // namespace

@@ -37,7 +37,7 @@ struct VdbGridHeader {
 // @throws InputError also where the size is not that of the type
 std::vector<VdbMetadata> readMetadata(VdbCursor& cursor);
 
-// Leaves the cursor at the tree, or for a transform that is not linear behind the name of its map.
+// Leaves the cursor at the tree. Of a transform that is not linear only the type is kept.
 // @throws InputError
 VdbGridHeader readGridHeader(VdbCursor& cursor);
 
