@@ -8,8 +8,9 @@ namespace vdb_nns {
 
 namespace {
 
-// Bytes read at once: the parts read here are small against the points, and mostly skipped.
-constexpr std::size_t kWindowBytes = std::size_t(256) << 10;
+// Bytes read at once: the parts read here are small against the points, and mostly skipped. A cursor starts with few, for many
+// read no more than the entry of a grid, and reads more at once the longer it goes on.
+constexpr std::size_t kFirstWindowBytes = std::size_t(4) << 10, kMostWindowBytes = std::size_t(256) << 10;
 
 std::string nameOf(const std::string& part)
 {
@@ -63,8 +64,9 @@ const unsigned char* VdbCursor::take(std::size_t bytes, const char* what)
     need(bytes, what);
     const bool isInside = mPosition >= mWindowBegin && mPosition - mWindowBegin + bytes <= mWindow.size();
     if (!isInside) {
-        mWindow.resize(
-            static_cast<std::size_t>(std::min<std::uint64_t>(left(), std::max(bytes, kWindowBytes))));
+        const std::size_t wanted =
+            std::min(std::max(kFirstWindowBytes, 2 * mWindow.size()), kMostWindowBytes);
+        mWindow.resize(static_cast<std::size_t>(std::min<std::uint64_t>(left(), std::max(bytes, wanted))));
         mFile->readAt(mPosition, mWindow.data(), mWindow.size());
         mWindowBegin = mPosition;
     }

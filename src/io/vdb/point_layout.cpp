@@ -21,6 +21,7 @@
 #include <algorithm>
 #include <cstdlib>
 #include <cstring>
+#include <unordered_set>
 #include <utility>
 
 namespace vdb_nns {
@@ -49,21 +50,28 @@ std::uint64_t readCount(VdbCursor& cursor, std::uint64_t leastBytes, const char*
     return count;
 }
 
-VdbDescriptor readDescriptor(VdbCursor& cursor)
+VdbDescriptor readDescriptor(VdbCursor& cursor, std::size_t mostAttributes)
 {
     VdbDescriptor descriptor;
-    descriptor.attributes.resize(readCount(cursor, 8, "the number of attributes"));
+    const std::uint64_t count = readCount(cursor, 8, "the number of attributes");
+    if (count > mostAttributes) {
+        cursor.fail("at most " + std::to_string(mostAttributes) +
+                        " attributes, as there are passes for, not " + std::to_string(count) + ",",
+                    cursor.position() - sizeof count);
+    }
+    descriptor.attributes.resize(static_cast<std::size_t>(count));
     for (VdbDescriptor::Attribute& attribute : descriptor.attributes) {
         attribute.valueType = cursor.text("the type of an attribute");
         attribute.codec = cursor.text("the codec of an attribute");
         attribute.type = attributeType(attribute.valueType, attribute.codec);
     }
+    std::unordered_set<std::string> names;
     for (std::size_t left = descriptor.attributes.size(); left > 0; --left) {
         const std::uint64_t at = cursor.position();
         const std::string name = cursor.text("the name of an attribute");
         const auto place = cursor.number<std::uint64_t>("the place of an attribute");
         if (place >= descriptor.attributes.size() || name.empty() ||
-            !descriptor.attributes[place].name.empty() || descriptor.find(name) != VdbDescriptor::kNone)
+            !descriptor.attributes[place].name.empty() || !names.insert(name).second)
             cursor.fail("an attribute's name and its place, one of each,", at);
         descriptor.attributes[place].name = name;
     }
@@ -160,28 +168,23 @@ private:
     {
         bool isShared = false;
         for (std::size_t leaf = 0; leaf < mLayout.leaves.size(); ++leaf) {
-            if (!isShared) isShared = readOwnDescriptor();
+            if (!isShared) isShared = readOwnDescriptor(mostAttributes);
             mLayout.descriptorOf.push_back(static_cast<std::uint32_t>(mLayout.descriptors.size() - 1));
             mLayout.firstArray.push_back(mLayout.arrays.size());
             const auto& attributes = mLayout.descriptors.back().attributes;
-            if (attributes.size() > mostAttributes) {
-                mCursor.fail("at most " + std::to_string(mostAttributes) +
-                             " attributes, as there are passes for, not " +
-                             std::to_string(attributes.size()) + ",");
-            }
             for (const auto& attribute : attributes) mLayout.arrays.push_back(readArray(mCursor, attribute));
         }
         mLayout.firstArray.push_back(mLayout.arrays.size());
     }
 
     // Returns whether the leaves that follow share it.
-    bool readOwnDescriptor()
+    bool readOwnDescriptor(std::size_t mostAttributes)
     {
         const auto flags = mCursor.number<std::uint8_t>("the flags of a descriptor");
         if (flags > (kSharedDescriptor | kBytesToSkip))
             mCursor.fail("flags of a descriptor below 4, not " + std::to_string(flags) + ",",
                          mCursor.position() - 1);
-        mLayout.descriptors.push_back(readDescriptor(mCursor));
+        mLayout.descriptors.push_back(readDescriptor(mCursor, mostAttributes));
         if (flags & kBytesToSkip) {
             const auto bytes = mCursor.number<std::uint64_t>("the number of bytes to pass over");
             mCursor.skip(bytes, "bytes to pass over");
