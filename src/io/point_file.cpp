@@ -181,15 +181,6 @@ void measure(const ParticleSource& source, PointFileInfo& info)
 
 } // namespace
 
-void checkPointsFit(const std::string& path, std::uint64_t neededBytes, std::uint64_t allowedBytes)
-{
-    if (neededBytes <= allowedBytes) return;
-    throw CapacityError(path + ": its points alone need " + std::to_string(neededBytes) +
-                            " bytes of memory to be read, allowed are " + std::to_string(allowedBytes) +
-                            ": split the file, or let it have more memory",
-                        neededBytes, allowedBytes);
-}
-
 PointFile PointFile::read(const std::string& path, const PointFileOptions& options)
 {
     PointFile result;
