@@ -11,7 +11,7 @@
 namespace {
 
 // What is larger has long runs of zeros, and slows the fuzzer down.
-constexpr std::size_t kMostBytes = 40000;
+constexpr std::size_t kMostBytes = 64000;
 
 void write(const std::filesystem::path& path, const std::string& bytes)
 {

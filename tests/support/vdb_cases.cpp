@@ -390,7 +390,7 @@ PointDataGrid::Ptr unequalLeaves(Random& random)
     const auto others = Descriptor::create(kindOf("vec3s_fxpt16").type)
                             ->duplicateAppend("density", kindOf("float_trnc").type);
     int n = 0;
-    for (const Coord& origin : anyOrigins(12, 200, random)) {
+    for (const Coord& origin : anyOrigins(12, 60, random)) {
         Leaf& leaf = *grid->tree().touchLeaf(origin);
         const int which = n++ % 4;
         const auto& descriptor = which == 0 ? position : which == 1 ? more : others;
@@ -509,11 +509,11 @@ std::string tiles(std::uint32_t compression)
     for (const bool isActive : {false, true}) {
         const int side = isActive ? 1 : -1;
         tree.addTile(3, Coord(side * 16384, 0, 0), 7, isActive);
-        tree.addTile(2, Coord(side * 1024, 128, 0), 5, isActive);
-        tree.addTile(1, Coord(side * 1024, 512, 64), 3, isActive);
+        tree.addTile(2, Coord(1024 + side * 128, 128, 0), 5, isActive);
+        tree.addTile(1, Coord(64 + side * 32, 64, 64), 3, isActive);
     }
-    tree.fill(CoordBBox(Coord(-3000, 2000, 2000), Coord(-2900, 2100, 2100)), 0);
-    for (auto leaf = tree.beginLeaf(); leaf; ++leaf) { // those that fill() made have no attributes
+    tree.fill(CoordBBox(Coord(100), Coord(120)), 0);
+    for (auto leaf = tree.beginLeaf(); leaf; ++leaf) { // those that fill() makes have no attributes
         if (leaf->attributeSet().size() == 0) leaf->setOffsets(std::vector<Leaf::ValueType>(Leaf::SIZE));
     }
     return file({grid}, compression);
@@ -553,7 +553,8 @@ std::string groups(std::uint32_t compression)
 std::string names()
 {
     Random random(12);
-    const GridPtrVec grids = {simpleGrid(random, "vec3s", "twice"), makeVolume<FloatGrid>(0, 1, 2, "twice"),
+    const GridPtrVec grids = {simpleGrid(random, "vec3s", "twice"),
+                              makeSmallVolume<FloatGrid>(0, 1, 2, "twice"),
                               simpleGrid(random, "vec3s_trnc", "twice"), simpleGrid(random, "vec3s", ""),
                               simpleGrid(random, "vec3s", "odd[1]")};
     grids[0]->insertMeta("suggested_radius", DoubleMetadata(0.75));
@@ -575,7 +576,7 @@ GridPtrVec someInstances()
     instance->setTransform(math::Transform::createLinearTransform(3));
     instance->insertMeta("suggested_radius", DoubleMetadata(2));
     const auto other = simpleGrid(random, "vec3s_fxpt8", "other");
-    const auto volume = gridPtrCast<FloatGrid>(makeVolume<FloatGrid>(0, 1, 2, "volume"));
+    const auto volume = gridPtrCast<FloatGrid>(makeSmallVolume<FloatGrid>(0, 1, 2, "volume"));
     const auto volumeInstance = FloatGrid::create(volume->treePtr());
     volumeInstance->setName("volume instance");
     return {grid, volume, instance, volumeInstance, other};

@@ -21,6 +21,7 @@
 #include <algorithm>
 #include <cstdlib>
 #include <cstring>
+#include <numeric>
 #include <unordered_set>
 #include <utility>
 
@@ -135,10 +136,16 @@ public:
             mCursor.fail("an even number of passes, 4 or more, not " + std::to_string(passes) + ",", at);
         readVoxelSizes();
         readDescriptors((std::size_t(passes) - 4) / 2);
-        std::size_t places = 0;
-        for (std::size_t leaf = 0; leaf < leaves; ++leaf) places = std::max(places, mLayout.arrayCount(leaf));
-        mLayout.pieces.resize(places);
-        for (std::size_t place = 0; place < places; ++place) readPages(place);
+        // Leaves that have an array at a place: all, or in turn fewer.
+        std::vector<std::uint32_t> having(leaves);
+        std::iota(having.begin(), having.end(), 0);
+        for (std::size_t place = 0;; ++place) {
+            const auto hasNone = [&](std::uint32_t leaf) { return place >= mLayout.arrayCount(leaf); };
+            having.erase(std::remove_if(having.begin(), having.end(), hasNone), having.end());
+            if (having.empty()) break;
+            mLayout.pieces.emplace_back();
+            readPages(place, having);
+        }
         placeVoxels();
         for (std::vector<VdbPiece>& pieces : mLayout.pieces) placePieces(pieces);
         mLayout.end = mCursor.position();
@@ -193,13 +200,12 @@ private:
     }
 
     // The pieces of the arrays at a place, but for their positions.
-    void readPages(std::size_t place)
+    void readPages(std::size_t place, const std::vector<std::uint32_t>& leaves)
     {
         std::vector<VdbPiece>& pieces = mLayout.pieces[place];
         std::size_t page = 0, run = 0; // numbers of the last ones, plus one
         std::uint64_t pageLeft = 0;
-        for (std::size_t leaf = 0; leaf < mLayout.leaves.size(); ++leaf) {
-            if (place >= mLayout.arrayCount(leaf)) continue;
+        for (const std::size_t leaf : leaves) {
             const VdbArray& array = mLayout.array(leaf, place);
             if (!array.isPaged) {
                 const std::uint64_t bytes = array.bytes + (array.isUniform ? 0 : 1);

@@ -113,8 +113,12 @@ public:
             const VdbPiece* piece;
         };
         std::vector<Task> tasks;
-        for (std::size_t place = 0; place < mLayout.pieces.size(); ++place) {
-            if (std::find(mPlaceOf.begin(), mPlaceOf.end(), place) == mPlaceOf.end()) continue;
+        std::vector<bool> isPlace(mLayout.pieces.size()); // of the attribute, in some leaf
+        for (const std::size_t place : mPlaceOf) {
+            if (place < isPlace.size()) isPlace[place] = true;
+        }
+        for (std::size_t place = 0; place < isPlace.size(); ++place) {
+            if (!isPlace[place]) continue;
             for (const VdbPiece& piece : mLayout.pieces[place]) {
                 if (piece.firstLeaf < mPoints.leaves.end && piece.endLeaf > mPoints.leaves.begin)
                     tasks.push_back({place, &piece});
