@@ -104,7 +104,8 @@ VdbFile::VdbFile(const ByteSource& file, const std::string& grid, std::uint64_t 
         if (cursor.left() > 0) cursor.fail("the end of an instance");
         cursor = VdbCursor(file, parent->gridBegin, parent->gridEnd);
         cursor.setPart(gridText(parent->uniqueName));
-        if (parent->gridType != kVdbPointGridType) cursor.fail("points, not " + parent->gridType + ",");
+        if (parent->gridType != kVdbPointGridType)
+            cursor.fail("points, as its instance has, not " + parent->gridType + ",");
     }
     const std::uint32_t compression = parent ? readGridHeader(cursor).compression : header.compression;
     const VdbPointLayout layout = readPointLayout(cursor, compression);

@@ -68,7 +68,7 @@ class BadFiles(CliCase):
 
     def test_vdb_with_bytes_behind_its_grids(self):
         with open(self.scene(), "rb") as file:
-            self.rejects(self.text("more.vdb", file.read() + b"\0\0\0"), "damaged: 3 bytes follow")
+            self.rejects(self.text("more.vdb", file.read() + b"\0\0\0"), "but 3 bytes follow")
 
     def test_vdb_whose_tree_has_lost_its_root(self):
         # One bit: the root node has no child any more. OpenVDB reads that as a grid without points.

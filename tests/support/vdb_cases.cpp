@@ -842,6 +842,20 @@ std::string makeRandomVdb(std::uint32_t seed)
     return random.flip() ? file(grids, compression) : stream(grids, compression);
 }
 
+std::string makeUniformVdb(std::uint32_t leaves, std::uint32_t pointsPerLeaf)
+{
+    openvdb::initialize();
+    const auto grid = PointDataGrid::create();
+    const auto descriptor = Descriptor::create(kindOf("vec3s").type);
+    for (std::uint32_t i = 0; i < leaves; ++i) {
+        Leaf& leaf = *grid->tree().touchLeaf(Coord(static_cast<std::int32_t>(8 * i), 0, 0));
+        leaf.replaceAttributeSet(new AttributeSet(descriptor, pointsPerLeaf), true);
+        leaf.setOffsets(std::vector<Leaf::ValueType>(Leaf::SIZE, Leaf::ValueType(pointsPerLeaf)));
+    }
+    grid->setName("points");
+    return file({grid}, kBlosc | kActive);
+}
+
 std::string makeScatteredVdb(std::uint32_t points)
 {
     openvdb::initialize();

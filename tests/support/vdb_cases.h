@@ -17,7 +17,10 @@ std::string makeVdbCase(const std::string& name);
 // A file of some grids whose kinds, sizes, attributes and compression are drawn from the seed.
 std::string makeRandomVdb(std::uint32_t seed);
 
-// So many points spread over many leaves.
+// A file of a few KB whose leaves have so many points each, all with one value of P.
+std::string makeUniformVdb(std::uint32_t leaves, std::uint32_t pointsPerLeaf);
+
+// So many points, or a few more or fewer, spread over many leaves.
 std::string makeScatteredVdb(std::uint32_t points);
 
 } // namespace vdb_nns::testing

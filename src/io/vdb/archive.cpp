@@ -67,10 +67,11 @@ VdbEntry readEntry(VdbCursor& cursor, bool hasOffsets)
     const bool isBlockInside = blockPosition == 0 || blockPosition >= gridPosition; // 0 for an instance
     if (gridPosition < cursor.position() || endPosition < gridPosition || blockPosition > endPosition ||
         !isBlockInside || endPosition > fileBytes) {
-        throw InputError(path + ": damaged: " + gridText(entry.uniqueName) + " claims bytes " +
-                         std::to_string(gridPosition) + " to " + std::to_string(endPosition) +
-                         " of a file of " + std::to_string(fileBytes) + " whose byte " +
-                         std::to_string(cursor.position()) + " is next; write the file again");
+        throw InputError(path + ": damaged: " + gridText(entry.uniqueName) +
+                         ": expected its bytes between byte " + std::to_string(cursor.position()) +
+                         " and the end of the file at byte " + std::to_string(fileBytes) +
+                         ", not from byte " + std::to_string(gridPosition) + " to " +
+                         std::to_string(endPosition) + "; write the file again");
     }
     entry.gridBegin = gridPosition;
     entry.gridEnd = endPosition;
@@ -100,7 +101,7 @@ std::string gridLabel(const std::string& uniqueName)
 
 std::string gridText(const std::string& uniqueName)
 {
-    return "grid '" + gridLabel(uniqueName) + "'";
+    return "grid '" + printable(gridLabel(uniqueName)) + "'";
 }
 
 const VdbEntry* parentOf(const ByteSource& file, const VdbDirectory& directory, const VdbEntry& instance)
@@ -145,9 +146,10 @@ VdbDirectory readVdbDirectory(const ByteSource& file)
         directory.entries.push_back(std::move(entry));
     }
     if (next != file.size()) {
-        throw InputError(file.name() + ": damaged: " + std::to_string(file.size() - next) +
-                         " bytes follow the last of its " + std::to_string(gridCount) +
-                         " grids; write the file again");
+        throw InputError(file.name() +
+                         ": damaged: expected the end of the file behind its last grid at byte " +
+                         std::to_string(next) + ", but " + std::to_string(file.size() - next) +
+                         " bytes follow; write the file again");
     }
     return directory;
 }

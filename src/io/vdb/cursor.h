@@ -24,6 +24,7 @@ public:
 
     // What the bytes belong to, for messages: "grid 'points'".
     void setPart(std::string part) { mPart = std::move(part); }
+    const std::string& part() const { return mPart; }
 
     // `what` names in messages what is read.
     void skip(std::uint64_t bytes, const char* what);
@@ -57,6 +58,9 @@ private:
     std::vector<unsigned char> mWindow; // bytes of the file from mWindowBegin on
     std::uint64_t mWindowBegin = 0;
 };
+
+// A text of a file, for messages: control characters, which a damaged name may have, become '?'.
+std::string printable(std::string text);
 
 // The InputError of a file whose part ("grid 'points'", or empty) breaks what is expected at a byte.
 [[noreturn]] void failDamaged(const std::string& file, const std::string& part, const std::string& expected,

@@ -91,7 +91,7 @@ VdbTransform readTransform(VdbCursor& cursor)
         inner.mapType = cursor.text("the type of the transform");
     }
     if (!readLinearMap(cursor, inner))
-        cursor.fail("a transform that OpenVDB has (its type is '" + inner.mapType + "')", at);
+        cursor.fail("the type of a transform, not '" + inner.mapType + "',", at);
     return transform.isLinear ? inner : transform;
 }
 

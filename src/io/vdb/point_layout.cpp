@@ -45,7 +45,8 @@ std::uint64_t readCount(VdbCursor& cursor, std::uint64_t leastBytes, const char*
 {
     const auto count = cursor.number<std::uint64_t>(what);
     if (count > cursor.left() / leastBytes) {
-        cursor.fail(std::string(what) + " that the file has room for, not " + std::to_string(count) + ",",
+        cursor.fail("at most " + std::to_string(cursor.left() / leastBytes) + " (" + what + "), not " +
+                        std::to_string(count) + ",",
                     cursor.position() - sizeof count);
     }
     return count;
@@ -73,7 +74,7 @@ VdbDescriptor readDescriptor(VdbCursor& cursor, std::size_t mostAttributes)
         const auto place = cursor.number<std::uint64_t>("the place of an attribute");
         if (place >= descriptor.attributes.size() || name.empty() ||
             !descriptor.attributes[place].name.empty() || !names.insert(name).second)
-            cursor.fail("an attribute's name and its place, one of each,", at);
+            cursor.fail("the name and the place of an attribute, each of them once,", at);
         descriptor.attributes[place].name = name;
     }
     for (auto left = readCount(cursor, 12, "the number of groups"); left > 0; --left) {

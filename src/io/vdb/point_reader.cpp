@@ -188,7 +188,7 @@ private:
             unsigned char* const out = direct ? direct : scratch.values.data();
             if (!decompressBlosc(values, static_cast<std::size_t>(page.storedBytes), out,
                                  static_cast<std::size_t>(page.pageBytes)))
-                fail("a page of " + std::to_string(page.pageBytes) + " bytes, compressed by Blosc,", page);
+                fail("a page of " + std::to_string(page.pageBytes) + " bytes compressed by Blosc", page);
             if (direct) return;
             values = out;
         }
@@ -214,7 +214,7 @@ private:
                 if (scratch.values.size() < bytes) scratch.values.resize(static_cast<std::size_t>(bytes));
                 if (!decompressBlosc(values, static_cast<std::size_t>(array.bytes), scratch.values.data(),
                                      static_cast<std::size_t>(bytes)))
-                    fail("values of " + std::to_string(bytes) + " bytes, compressed by Blosc,", run);
+                    fail("values of " + std::to_string(bytes) + " bytes compressed by Blosc", run);
                 values = scratch.values.data();
             } else if (array.bytes != bytes) {
                 fail(std::to_string(bytes) + " bytes of values of the leaf at " +
@@ -237,7 +237,7 @@ private:
 
     [[noreturn]] void fail(const std::string& expected, const VdbPiece& piece) const
     {
-        failDamaged(mReader.mFile.name(), mReader.mPart, expected + " (attribute '" + mName + "')",
+        failDamaged(mReader.mFile.name(), mReader.mPart, expected + " for attribute '" + mName + "'",
                     piece.position);
     }
 
@@ -332,8 +332,8 @@ private:
             std::memcpy(ends, first, kOffsetBytes);
         } else if (!decompressBlosc(first, stored, ends, kOffsetBytes)) {
             failDamaged(mFile.name(), mPart,
-                        "512 voxel offsets, compressed by Blosc, of the leaf at " +
-                            coordText(mLayout.leaves[leaf]),
+                        "512 voxel offsets of the leaf at " + coordText(mLayout.leaves[leaf]) +
+                            ", compressed by Blosc,",
                         at + kMaskBytes + sizeof stored);
         }
     }
@@ -346,9 +346,10 @@ private:
             // OpenVDB holds no array shorter than one.
             if (size == count || (count == 0 && size <= 1)) continue;
             failDamaged(mFile.name(), mPart,
-                        std::to_string(size) + " points in the leaf at " + coordText(mLayout.leaves[leaf]) +
-                            ", as attribute '" + mLayout.descriptor(leaf).attributes[place].name +
-                            "' has, and voxel offsets for " + std::to_string(count),
+                        "voxel offsets of " + std::to_string(size) + " points in the leaf at " +
+                            coordText(mLayout.leaves[leaf]) + ", as many as attribute '" +
+                            mLayout.descriptor(leaf).attributes[place].name + "' has, not of " +
+                            std::to_string(count) + ",",
                         mLayout.voxelsBegin[leaf]);
         }
         if (count == 0) return;
@@ -357,7 +358,8 @@ private:
             fail("the leaf at " + coordText(mLayout.leaves[leaf]) + " has no attribute P");
         const VdbDescriptor::Attribute& attribute = mLayout.descriptor(leaf).attributes[place];
         if (!isPosition(attribute.type)) {
-            fail("P has type " + attribute.valueType + " with codec " + attribute.codec +
+            fail("P has type " + printable(attribute.valueType) + " with codec " +
+                 printable(attribute.codec) +
                  ", which is not supported; convert it to vec3s with codec null, trnc, fxpt16 or fxpt8");
         }
         const VdbArray& array = mLayout.array(leaf, place);
@@ -447,9 +449,10 @@ void VdbPointReader::checkAttribute(std::size_t leaf, std::size_t place, const V
 {
     const VdbDescriptor::Attribute& attribute = mLayout.descriptor(leaf).attributes[place];
     const VdbAttributeType& type = attribute.type;
-    const std::string text = mFile.name() + ": " + mPart + ": attribute '" + attribute.name + "' ";
+    const std::string text = mFile.name() + ": " + mPart + ": attribute '" + printable(attribute.name) + "' ";
     if (!type.isKnown || type.codec == VdbCodec::kUnitVector) {
-        throw InputError(text + "has type " + attribute.valueType + " with codec " + attribute.codec +
+        throw InputError(text + "has type " + printable(attribute.valueType) + " with codec " +
+                         printable(attribute.codec) +
                          ", which is not supported; convert it to a type without codec");
     }
     if (before.isKnown && (before.scalar != type.scalar || before.components != type.components))

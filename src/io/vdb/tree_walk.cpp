@@ -12,6 +12,7 @@
 #include "io/vdb/tree_walk.h"
 
 #include "io/vdb/archive.h"
+#include "vdb_nns/error.h"
 
 #include <algorithm>
 #include <array>
@@ -58,7 +59,8 @@ void skipBlock(WalkedTree& tree, std::uint64_t bytes)
     const auto stored = cursor.number<std::int64_t>("the size of the values of a node");
     if (stored > 0) return cursor.skip(static_cast<std::uint64_t>(stored), "the values of a node");
     if (std::uint64_t(0) - static_cast<std::uint64_t>(stored) != bytes)
-        cursor.fail("a block of " + std::to_string(bytes) + " bytes, not " + std::to_string(stored) + ",",
+        cursor.fail("a block of " + std::to_string(bytes) + " bytes, not of " +
+                        std::to_string(std::uint64_t(0) - static_cast<std::uint64_t>(stored)) + ",",
                     at);
     cursor.skip(bytes, "the values of a node");
 }
@@ -69,7 +71,7 @@ void skipValues(WalkedTree& tree, std::size_t count, std::size_t active)
     VdbCursor& cursor = tree.cursor;
     const auto masking = cursor.number<std::uint8_t>("how a node is masked");
     if (masking > kAllValues)
-        cursor.fail("how a node is masked, 0 to 6, not " + std::to_string(masking) + ",",
+        cursor.fail("a number from 0 to 6 (how a node is masked), not " + std::to_string(masking) + ",",
                     cursor.position() - 1);
     const bool hasOne = masking == kNoMaskOneValue || masking == kMaskOneValue;
     const std::size_t inactiveValues = hasOne ? 1 : masking == kMaskTwoValues ? 2 : 0;
@@ -180,9 +182,10 @@ void skipVolume(VdbCursor& cursor, const std::string& gridType, bool savesHalf, 
             return gridType == std::string("Tree_") + type.name + "_5_4_3";
         });
     if (known == std::end(kVolumeTypes)) {
-        cursor.fail("a grid of points, numbers or vectors (its type, " + gridType +
-                    ", is not read, and a stream does not say where it ends; write the file with offsets, as "
-                    "openvdb::io::File does)");
+        throw InputError(cursor.file().name() + ": " + cursor.part() + ": has type " + printable(gridType) +
+                         ", which is not read, and a stream does not say where it ends (it begins at byte " +
+                         std::to_string(cursor.position()) +
+                         "); write the file with offsets, as openvdb::io::File does");
     }
     VdbVoxelType voxels{known->bytes, known->bytes, savesHalf && known->components > 0};
     if (voxels.isHalf) voxels.storedBytes = 2 * known->components;
