@@ -35,10 +35,10 @@ configure build "${release[@]}"
 cmake --build build
 took
 
-say "build into build/clang: clang++, shared library"
+say "build into build/clang: clang++, shared library; the samples, and a minute of fuzzing"
 configure build/clang -C tools/build/clang.cmake
 cmake --build build/clang
-ctest --test-dir build/clang -L samples --output-on-failure --no-tests=error
+ctest --test-dir build/clang -L 'samples|libfuzzer' --output-on-failure --no-tests=error
 took
 
 say "build into build/asan: AddressSanitizer and UBSan; the selection of the suite"

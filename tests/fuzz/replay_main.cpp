@@ -1,13 +1,17 @@
 // Runs a fuzz target without libFuzzer: over seeds of its format, all their prefixes, and mutations of them
 // from a fixed random sequence, for some seconds. A crash, a sanitizer's report or any exception but
-// InputError ends it.
+// InputError ends it. Of a binary format the seeds are the files of a folder, without their prefixes.
 //
-//   replay npy|ply|xyz [SECONDS [FIRST_SEED]]
+//   replay npy|ply|xyz|FOLDER [SECONDS [FIRST_SEED]]
+#include <algorithm>
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
 #include <string>
 #include <vector>
 
@@ -62,6 +66,19 @@ std::vector<std::string> seedsOf(const std::string& format)
             "1e-400 2 3"};
 }
 
+std::vector<std::string> filesOf(const std::string& folder)
+{
+    std::vector<std::filesystem::path> paths;
+    for (const auto& entry : std::filesystem::directory_iterator(folder)) paths.push_back(entry.path());
+    std::sort(paths.begin(), paths.end());
+    std::vector<std::string> files;
+    for (const std::filesystem::path& path : paths) {
+        std::ifstream in(path, std::ios::binary);
+        files.emplace_back(std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>());
+    }
+    return files;
+}
+
 std::string mutated(std::string text, const std::vector<std::string>& seeds, Random& random)
 {
     static const char* const kTokens[] = {"0",       "-1",           "4294967295", "18446744073709551616",
@@ -104,14 +121,20 @@ void run(const std::string& input)
 int main(int argc, char** argv)
 {
     if (argc < 2) {
-        std::fprintf(stderr, "usage: replay npy|ply|xyz [SECONDS [FIRST_SEED]]\n");
+        std::fprintf(stderr, "usage: replay npy|ply|xyz|FOLDER [SECONDS [FIRST_SEED]]\n");
         return 2;
     }
-    const std::vector<std::string> seeds = seedsOf(argv[1]);
+    const bool isFolder = std::filesystem::is_directory(argv[1]);
+    const std::vector<std::string> seeds = isFolder ? filesOf(argv[1]) : seedsOf(argv[1]);
+    if (seeds.empty()) {
+        std::fprintf(stderr, "replay: no files in %s\n", argv[1]);
+        return 2;
+    }
     const double seconds = argc > 2 ? std::atof(argv[2]) : 3;
     std::uint64_t number = argc > 3 ? std::strtoull(argv[3], nullptr, 10) : 1;
     for (const std::string& seed : seeds) {
-        for (std::size_t kept = 0; kept <= seed.size(); ++kept) run(seed.substr(0, kept));
+        for (std::size_t kept = isFolder ? seed.size() : 0; kept <= seed.size(); ++kept)
+            run(seed.substr(0, kept));
     }
     const auto start = std::chrono::steady_clock::now();
     std::uint64_t runs = 0;
