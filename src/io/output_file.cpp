@@ -156,16 +156,21 @@ void OutputFile::writeAt(std::uint64_t offset, const void* data, std::size_t byt
     }
 }
 
-void OutputFile::requireRoom(std::uint64_t bytes) const
+std::optional<std::uint64_t> OutputFile::freeBytes() const
 {
     struct statvfs status {};
     // Some file systems do not know their size: the disk is full there when a write says so.
     if (::fstatvfs(mTemporary->descriptor(), &status) != 0 || status.f_blocks == 0 || status.f_frsize == 0)
-        return;
-    const std::uint64_t freeBytes = std::uint64_t(status.f_bavail) * status.f_frsize;
-    if (bytes <= freeBytes) return;
+        return std::nullopt;
+    return std::uint64_t(status.f_bavail) * status.f_frsize;
+}
+
+void OutputFile::requireRoom(std::uint64_t bytes) const
+{
+    const std::optional<std::uint64_t> free = freeBytes();
+    if (!free || bytes <= *free) return;
     throw OutputError(mPath + ": needs " + std::to_string(bytes) + " bytes, and its disk has " +
-                      std::to_string(freeBytes) + " bytes free" + nextStep(ENOSPC));
+                      std::to_string(*free) + " bytes free" + nextStep(ENOSPC));
 }
 
 void OutputFile::commit()

@@ -35,6 +35,9 @@ public:
     // take that room all the same.
     void requireRoom(std::uint64_t bytes) const;
 
+    // Of the disk, for this user; empty where the file system does not know.
+    std::optional<std::uint64_t> freeBytes() const;
+
     // Renames the temporary to the target. Without it the temporary is removed at the end.
     // @throws OutputError, OutputExists when the target came into being meanwhile and may not be overwritten
     void commit();

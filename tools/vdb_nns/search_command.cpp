@@ -130,6 +130,25 @@ Encoding chooseEncoding(const SearchFlags& flags, const SearchPlan& plan)
     return flags.checksum ? Encoding::kMask : Encoding::kNone;
 }
 
+ListValues listValues(const SearchFlags& flags)
+{
+    return flags.lists == "distance" ? ListValues::kDistance : ListValues::kConnectivity;
+}
+
+// The file that is written while its rows are found: where nobody else wants the lists, and no search is repeated to be timed.
+std::optional<NpzTarget> targetOf(const SearchFlags& flags, const SearchPlan& plan)
+{
+    const auto isNpz = [](const std::string& path) { return extensionOf(path) == ".npz"; };
+    const auto count = std::count_if(flags.outputs.begin(), flags.outputs.end(), isNpz);
+    if (count != 1 || plan.repeat > 1 || !flags.encoding.empty()) return std::nullopt;
+    NpzTarget target;
+    target.path = *std::find_if(flags.outputs.begin(), flags.outputs.end(), isNpz);
+    target.values = listValues(flags);
+    target.output = outputOptions(flags.common);
+    target.checksum = flags.checksum || !flags.common.json.empty();
+    return target;
+}
+
 // Everything that can be wrong without reading a byte.
 SearchPlan checkFlags(const SearchFlags& flags)
 {
@@ -144,6 +163,7 @@ SearchPlan checkFlags(const SearchFlags& flags)
     plan.job.search.encoding = chooseEncoding(flags, plan);
     plan.job.mayUseMasks = flags.encoding.empty();
     plan.job.mayStream = plan.job.written.npz && flags.encoding != "mask";
+    plan.job.npz = targetOf(flags, plan);
     checkOutputs(flags.outputs, {flags.input.path}, flags.common);
     return plan;
 }
@@ -224,7 +244,8 @@ void makeChecksum(SearchEngine& engine, const SearchFlags& flags, const JobRepor
                   const NeighborLists& lists, SearchReport& report)
 {
     const bool stored = lists.encoding() != Encoding::kNone, wanted = stored || job.streamed;
-    if (!flags.checksum && (flags.common.json.empty() || !wanted)) return;
+    report.checksum = job.checksum;
+    if (job.checksum || (!flags.checksum && (flags.common.json.empty() || !wanted))) return;
     const Stopwatch watch;
     const SearchOptions& search = job.settled.search;
     report.checksum = stored ? lists.checksum(search.progress) : visitChecksum(engine, lists.grid(), search);
@@ -241,9 +262,8 @@ void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const JobRepor
         const double from = 0.8 + share * static_cast<double>(report.written.size());
         progress.begin("write", from, from + share);
         if (extensionOf(path) == ".npz") {
-            const ListValues values =
-                flags.lists == "distance" ? ListValues::kDistance : ListValues::kConnectivity;
-            writeJobNpz(path, engine, lists, job, values, outputOptions(flags.common));
+            if (!job.written)
+                writeJobNpz(path, engine, lists, job, listValues(flags), outputOptions(flags.common));
         } else {
             const std::vector<std::uint32_t> counts = lists.counts();
             file.writeVdb(path, {counts.data(), counts.size()}, flags.prefix, outputOptions(flags.common),
@@ -251,7 +271,7 @@ void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const JobRepor
         }
         report.written.push_back(path);
     }
-    report.seconds.write = watch.seconds();
+    report.seconds.write = job.writeSeconds + watch.seconds();
 }
 
 void fillReport(const SearchEngine& engine, const JobReport& job, const NeighborLists& lists,
