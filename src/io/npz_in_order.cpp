@@ -13,6 +13,11 @@ namespace {
 // Distances of which nobody asks whether to stop: some milliseconds.
 constexpr std::size_t kDistancesBetweenChecks = std::size_t(1) << 16;
 
+// Of the file, ahead of what is written.
+constexpr std::uint64_t kReserveBytes = std::uint64_t(256) << 20;
+// Buffers that wait to be written while their threads go on.
+constexpr std::size_t kMostQueued = 4;
+
 template <typename T>
 T* atLeast(std::vector<T>& values, std::size_t size)
 {
@@ -36,58 +41,114 @@ NpzInOrder::NpzInOrder(OutputFile& file, std::uint64_t rowCount, std::uint64_t e
 void NpzInOrder::take(const RowRun& run)
 {
     mCancel.check();
-    Staging& staging = mStaging.local();
-    std::uint32_t* const numbers =
-        atLeast(staging.numbers, static_cast<std::size_t>(run.pairCount) + kSortOverrun);
-    std::uint32_t* next = numbers;
-    for (std::size_t k = 0; k < run.rowCount; next += run.counts[k++]) {
-        if (run.counts[k] > 0) staging.sorter.sort(run.rows[k], run.counts[k], next);
+    std::unique_ptr<Buffer> buffer = takeBuffer();
+    const Crcs crcs = fill(run, *buffer);
+    {
+        const std::lock_guard<std::mutex> lock(mMutex);
+        if (mRuns.size() <= run.index) mRuns.resize(run.index + 1);
+        mRuns[run.index] = crcs;
     }
-    const auto pairs = static_cast<std::size_t>(run.pairCount);
-    Crcs crcs{run.rowCount, run.pairCount, writeEnds(run, staging), 0, 0};
-    if (mExpected.indexBytes == 8) {
-        std::int64_t* const wide = atLeast(staging.wide, pairs);
-        std::copy_n(numbers, pairs, wide);
-        crcs.indices = write(NpzLayout::kIndices, run.firstPair, wide, pairs, sizeof *wide);
-    } else {
-        crcs.indices = write(NpzLayout::kIndices, run.firstPair, numbers, pairs, sizeof *numbers);
-    }
-    if (mDistancesOf) crcs.distances = writeDistances(run, staging);
+    pass(std::move(buffer));
+}
+
+std::unique_ptr<NpzInOrder::Buffer> NpzInOrder::takeBuffer()
+{
     const std::lock_guard<std::mutex> lock(mMutex);
-    if (mRuns.size() <= run.index) mRuns.resize(run.index + 1);
-    mRuns[run.index] = crcs;
+    if (mFree.empty()) return std::make_unique<Buffer>();
+    std::unique_ptr<Buffer> buffer = std::move(mFree.back()); // likeliest to be in a cache
+    mFree.pop_back();
+    return buffer;
 }
 
-std::uint32_t NpzInOrder::write(int member, std::uint64_t firstValue, const void* values,
-                                std::size_t valueCount, std::size_t valueBytes)
+NpzInOrder::Crcs NpzInOrder::fill(const RowRun& run, Buffer& buffer)
 {
-    const std::size_t bytes = valueCount * valueBytes;
-    mFile.writeAt(mExpected.members[member].valueOffset + firstValue * valueBytes, values, bytes);
-    return crcOf(0, values, bytes);
-}
-
-std::uint32_t NpzInOrder::writeEnds(const RowRun& run, Staging& staging)
-{
-    std::int64_t* const ends = atLeast(staging.ends, run.rowCount);
-    auto end = static_cast<std::int64_t>(run.firstPair);
-    for (std::size_t k = 0; k < run.rowCount; ++k) ends[k] = end += run.counts[k];
-    return write(NpzLayout::kIndptr, run.firstRow + 1, ends, run.rowCount,
-                 sizeof *ends); // before it stands the 0
-}
-
-std::uint32_t NpzInOrder::writeDistances(const RowRun& run, Staging& staging)
-{
+    buffer.firstRow = run.firstRow;
+    buffer.rowCount = run.rowCount;
+    buffer.firstPair = run.firstPair;
+    buffer.pairCount = run.pairCount;
     const auto pairs = static_cast<std::size_t>(run.pairCount);
-    float* const distances = atLeast(staging.distances, pairs);
-    std::size_t next = 0;
+    std::int64_t* const ends = atLeast(buffer.ends, run.rowCount);
+    std::uint32_t* next = atLeast(buffer.numbers, pairs + kSortOverrun);
+    auto end = static_cast<std::int64_t>(run.firstPair);
+    RowSorter& sorter = mSorters.local();
     for (std::size_t k = 0; k < run.rowCount; ++k) {
-        for (const std::size_t end = next + run.counts[k]; next < end; ++next) {
+        const std::uint32_t count = run.counts[k];
+        if (count > 0) sorter.sort(run.rows[k], count, next);
+        next += count;
+        ends[k] = end += count;
+    }
+    if (mExpected.indexBytes == 8) std::copy_n(buffer.numbers.data(), pairs, atLeast(buffer.wide, pairs));
+    if (mDistancesOf) fillDistances(buffer);
+    return {run.rowCount, run.pairCount, crcOf(0, ends, run.rowCount * sizeof *ends),
+            crcOf(0, indicesOf(buffer), pairs * mExpected.indexBytes),
+            mDistancesOf ? crcOf(0, buffer.distances.data(), pairs * sizeof(float)) : 0};
+}
+
+void NpzInOrder::fillDistances(Buffer& buffer) const
+{
+    float* const distances = atLeast(buffer.distances, static_cast<std::size_t>(buffer.pairCount));
+    std::size_t next = 0;
+    for (std::size_t k = 0; k < buffer.rowCount; ++k) {
+        const auto end = static_cast<std::size_t>(static_cast<std::uint64_t>(buffer.ends[k]) - buffer.firstPair);
+        for (; next < end; ++next) {
             if (next % kDistancesBetweenChecks == 0) mCancel.check();
             distances[next] =
-                static_cast<float>(mDistancesOf->distance(run.firstRow + k, staging.numbers[next]));
+                static_cast<float>(mDistancesOf->distance(buffer.firstRow + k, buffer.numbers[next]));
         }
     }
-    return write(NpzLayout::kData, run.firstPair, distances, pairs, sizeof *distances);
+}
+
+const void* NpzInOrder::indicesOf(const Buffer& buffer) const
+{
+    if (mExpected.indexBytes == 8) return buffer.wide.data();
+    return buffer.numbers.data();
+}
+
+void NpzInOrder::write(const Buffer& buffer)
+{
+    const auto writeValues = [&](int number, std::uint64_t first, const void* values, std::uint64_t count,
+                                 std::size_t bytes) {
+        mFile.writeAt(mExpected.members[number].valueOffset + first * bytes, values,
+                      static_cast<std::size_t>(count) * bytes);
+    };
+    const std::uint64_t end = mExpected.members[NpzLayout::kIndices].valueOffset +
+                              (buffer.firstPair + buffer.pairCount) * mExpected.indexBytes;
+    if (end > mReservedEnd) mFile.reserve(mReservedEnd = end + kReserveBytes);
+    // Before the end of the first row stands a 0.
+    writeValues(NpzLayout::kIndptr, buffer.firstRow + 1, buffer.ends.data(), buffer.rowCount, sizeof(std::int64_t));
+    writeValues(NpzLayout::kIndices, buffer.firstPair, indicesOf(buffer), buffer.pairCount, mExpected.indexBytes);
+    if (mDistancesOf)
+        writeValues(NpzLayout::kData, buffer.firstPair, buffer.distances.data(), buffer.pairCount, sizeof(float));
+}
+
+// Writes it, and what others leave meanwhile; or leaves it to the one who writes.
+void NpzInOrder::pass(std::unique_ptr<Buffer> buffer)
+{
+    std::unique_lock<std::mutex> lock(mMutex);
+    mQueue.push_back(std::move(buffer));
+    if (mIsWriting) {
+        mWritten.wait(lock, [&] { return mQueue.size() < kMostQueued || !mIsWriting || mFailed; });
+        if (mIsWriting || mFailed) return;
+    }
+    mIsWriting = true;
+    while (!mQueue.empty() && !mFailed) {
+        std::unique_ptr<Buffer> next = std::move(mQueue.front());
+        mQueue.pop_front();
+        lock.unlock();
+        try {
+            mCancel.check();
+            write(*next);
+        } catch (...) {
+            lock.lock();
+            mFailed = true; // nobody waits for this one
+            mWritten.notify_all();
+            throw;
+        }
+        lock.lock();
+        mFree.push_back(std::move(next));
+        mWritten.notify_all();
+    }
+    mIsWriting = false;
 }
 
 bool NpzInOrder::finish(std::uint64_t pairCount)
@@ -98,7 +159,7 @@ bool NpzInOrder::finish(std::uint64_t pairCount)
     NpzMember& data = layout.members[NpzLayout::kData];
     if (indices.valueOffset != mExpected.members[NpzLayout::kIndices].valueOffset) return false;
     if (mDistancesOf && data.valueOffset != mExpected.members[NpzLayout::kData].valueOffset) return false;
-    requireRoom(mFile, layout);
+    beginFile(mFile, layout);
     const std::int64_t zero = 0;
     appendValues(mFile, indptr, 0, &zero, sizeof zero, crcOf(0, &zero, sizeof zero));
     std::uint64_t rows = 0, pairs = 0;

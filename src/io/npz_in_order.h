@@ -1,5 +1,8 @@
 // How rows become an .npz file that are found in the order of their numbers and known by nobody before: each run goes to its
 // place at once, and what depends on the number of all pairs is written last.
+//
+// A thread sorts its run in a buffer. One at a time writes, for a file system lets in no more, and those that waited would spin;
+// the others leave their buffers to it and go on.
 #pragma once
 
 #include "io/npz_writer.h"
@@ -9,7 +12,10 @@
 
 #include <tbb/enumerable_thread_specific.h>
 
+#include <condition_variable>
 #include <cstdint>
+#include <deque>
+#include <memory>
 #include <mutex>
 #include <vector>
 
@@ -32,24 +38,25 @@ public:
     bool finish(std::uint64_t pairCount);
 
 private:
-    // What one thread makes of a run. Reused, so that it stays in a cache.
-    struct Staging {
-        RowSorter sorter;
+    // A run as it stands in the file.
+    struct Buffer {
+        std::uint64_t firstRow, rowCount, firstPair, pairCount;
+        std::vector<std::int64_t> ends;
         std::vector<std::uint32_t> numbers;
         std::vector<std::int64_t> wide; // instead, past 2^31-1 rows
-        std::vector<std::int64_t> ends;
         std::vector<float> distances;
     };
     struct Crcs {
-        std::size_t rowCount;
-        std::uint64_t pairCount;
+        std::uint64_t rowCount, pairCount;
         std::uint32_t ends, indices, distances;
     };
 
-    std::uint32_t write(int member, std::uint64_t firstValue, const void* values, std::size_t valueCount,
-                        std::size_t valueBytes);
-    std::uint32_t writeEnds(const RowRun& run, Staging& staging);
-    std::uint32_t writeDistances(const RowRun& run, Staging& staging);
+    const void* indicesOf(const Buffer& buffer) const;
+    Crcs fill(const RowRun& run, Buffer& buffer);
+    void fillDistances(Buffer& buffer) const;
+    void write(const Buffer& buffer);
+    std::unique_ptr<Buffer> takeBuffer();
+    void pass(std::unique_ptr<Buffer> buffer);
 
     OutputFile& mFile;
     const std::uint64_t mRowCount;
@@ -57,9 +64,14 @@ private:
     const ParticleView* const mDistancesOf;
     const CancelCheck& mCancel;
     const NpzLayout mExpected;
-    tbb::enumerable_thread_specific<Staging> mStaging;
+    tbb::enumerable_thread_specific<RowSorter> mSorters;
     std::mutex mMutex;
+    std::condition_variable mWritten;
+    bool mIsWriting = false, mFailed = false;
+    std::vector<std::unique_ptr<Buffer>> mFree;
+    std::deque<std::unique_ptr<Buffer>> mQueue; // to be written
     std::vector<Crcs> mRuns; // by index
+    std::uint64_t mReservedEnd = 0; // of who writes
 };
 
 } // namespace vdb_nns

@@ -93,9 +93,11 @@ void finishNpz(OutputFile& file, NpzLayout& layout, std::uint64_t rowCount)
     file.writeAt(layout.directoryOffset, directory.data(), directory.size());
 }
 
-void requireRoom(const OutputFile& file, const NpzLayout& layout)
+void beginFile(OutputFile& file, const NpzLayout& layout)
 {
-    file.requireRoom(layout.directoryOffset + centralDirectory(layout).size());
+    const std::uint64_t bytes = layout.directoryOffset + centralDirectory(layout).size();
+    file.requireRoom(bytes);
+    file.reserve(bytes);
 }
 
 } // namespace vdb_nns

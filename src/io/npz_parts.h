@@ -35,7 +35,7 @@ void writeOnes(OutputFile& file, NpzMember& data, const CancelCheck& cancel);
 // Once the large arrays are written and in their CRCs: the small members, the headers, the directory.
 void finishNpz(OutputFile& file, NpzLayout& layout, std::uint64_t rowCount);
 
-// Throws OutputError unless the disk has room for the file.
-void requireRoom(const OutputFile& file, const NpzLayout& layout);
+// Throws OutputError unless the disk has room for the file; takes it.
+void beginFile(OutputFile& file, const NpzLayout& layout);
 
 } // namespace vdb_nns

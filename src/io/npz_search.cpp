@@ -47,7 +47,7 @@ std::optional<NpzSearchResult> searchToNpz(EngineState& engine, const SparseGrid
         auto pairs = static_cast<std::uint64_t>(expected);
         if (mustCount(file, rowCount, expected, options.values)) {
             pairs = rows.countPairs();
-            requireRoom(file, layoutNpz(rowCount, pairs, options.values));
+            beginFile(file, layoutNpz(rowCount, pairs, options.values));
         }
         const ParticleView* const distancesOf =
             options.values == ListValues::kDistance ? &grid.view() : nullptr;

@@ -322,7 +322,7 @@ void streamNpzRows(const std::string& path, const NpzRowSource& source, ListValu
     OutputFile file(path, output);
     const RowPlaces places(source.counts());
     NpzLayout layout = beginNpz(places.size(), source.pairCount(), values);
-    requireRoom(file, layout);
+    beginFile(file, layout);
     writeEnds(file, places, layout.members[NpzLayout::kIndptr], cancel);
     isolated([&] {
         writeRows({file, source, places, layout, cancel, values == ListValues::kDistance}, layout,

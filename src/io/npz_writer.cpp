@@ -68,7 +68,7 @@ public:
 
     void write()
     {
-        requireRoom(mFile, mLayout);
+        beginFile(mFile, mLayout);
         const std::int64_t zero = 0;
         appendValues(mFile, mLayout.members[NpzLayout::kIndptr], 0, &zero, sizeof zero,
                      crcOf(0, &zero, sizeof zero));

@@ -274,14 +274,14 @@ void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const JobRepor
     report.seconds.write = job.writeSeconds + watch.seconds();
 }
 
-void fillReport(const SearchEngine& engine, const JobReport& job, const NeighborLists& lists,
+void fillReport(const SearchEngine& engine, const SearchFlags& flags, const JobReport& job, const NeighborLists& lists,
                 SearchReport& report)
 {
     fillGridReport(lists.grid(), job.settled.search, report);
     report.listBytes = lists.bytes();
     report.encoding = job.streamed ? Encoding::kIndex : lists.encoding();
     report.straightToFile = job.streamed;
-    report.candidateTests = countCandidateTests(lists.grid());
+    if (!flags.common.json.empty()) report.candidateTests = countCandidateTests(lists.grid());
     report.doublePairs = engine.statistics().doublePairs;
     report.exactPairs = engine.statistics().exactPairs;
     report.simd = simdLevelName(engine.statistics().simd);
@@ -304,7 +304,7 @@ int searchFile(const SearchFlags& flags, const SearchPlan& plan, int threads, Se
     SearchEngine engine;
     JobReport job;
     const NeighborLists lists = runJobs(engine, file.view(), flags, plan, progress, report, job);
-    fillReport(engine, job, lists, report);
+    fillReport(engine, flags, job, lists, report);
     makeChecksum(engine, flags, job, lists, report);
     writeOutputs(engine, flags, job, file, lists, progress, report);
     throwIfStopped();
