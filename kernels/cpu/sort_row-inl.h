@@ -1,7 +1,7 @@
 // Sorts a row of numbers ascending: bitonic networks (Batcher 1968) in registers, and merges of what they sorted for rows that
 // registers do not hold. No branch depends on the numbers but one for each vector that is merged. Internal linkage; see simd.h.
 //
-// Networks compare ascending throughout: a merge of two runs first compares the one with the other reversed (lane i with i ^ x,
+// Their steps are always inlined: a call would store the vectors. Networks compare ascending throughout: a merge of two runs first compares the one with the other reversed (lane i with i ^ x,
 // all bits of x set), then halves with halves. Rows are filled up with 2^32-1, which no particle has for its number.
 #pragma once
 
@@ -26,7 +26,7 @@ constexpr int highestBit(int x)
 
 // Lanes i and i ^ x in order.
 template <int kX>
-inline Simd::I orderLanes(Simd::I v)
+__attribute__((always_inline)) inline Simd::I orderLanes(Simd::I v)
 {
     const Simd::I other = Simd::swapLanes<kX>(v);
     return Simd::lanesOf<highestBit(kX)>(Simd::minUnsigned(v, other), Simd::maxUnsigned(v, other));
@@ -34,7 +34,7 @@ inline Simd::I orderLanes(Simd::I v)
 
 // The halves of each run of 2 kBit lanes, which are bitonic together; then those of its halves.
 template <int kBit>
-inline Simd::I mergeLanes(Simd::I v)
+__attribute__((always_inline)) inline Simd::I mergeLanes(Simd::I v)
 {
     if constexpr (kBit == 0) {
         return v;
@@ -45,7 +45,7 @@ inline Simd::I mergeLanes(Simd::I v)
 
 // Sorts each run of kRun lanes.
 template <int kRun>
-inline Simd::I sortLanes(Simd::I v)
+__attribute__((always_inline)) inline Simd::I sortLanes(Simd::I v)
 {
     if constexpr (kRun == 1) {
         return v;
@@ -63,7 +63,7 @@ inline void orderVectors(Simd::I& a, Simd::I& b)
 
 // Sorts what is bitonic.
 template <int kCount>
-inline void mergeVectors(Simd::I* v)
+__attribute__((always_inline)) inline void mergeVectors(Simd::I* v)
 {
     if constexpr (kCount == 1) {
         v[0] = mergeLanes<kSortLanes / 2>(v[0]);
@@ -76,7 +76,7 @@ inline void mergeVectors(Simd::I* v)
 
 // Merges two runs of kCount / 2 vectors.
 template <int kCount>
-inline void mergeHalves(Simd::I* v)
+__attribute__((always_inline)) inline void mergeHalves(Simd::I* v)
 {
     Simd::I high[kCount / 2];
     for (int i = 0; i < kCount / 2; ++i) {
@@ -90,7 +90,7 @@ inline void mergeHalves(Simd::I* v)
 }
 
 template <int kCount>
-inline void sortVectors(Simd::I* v)
+__attribute__((always_inline)) inline void sortVectors(Simd::I* v)
 {
     if constexpr (kCount == 1) {
         v[0] = sortLanes<kSortLanes>(v[0]);

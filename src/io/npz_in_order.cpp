@@ -89,7 +89,8 @@ void NpzInOrder::fillDistances(Buffer& buffer) const
     float* const distances = atLeast(buffer.distances, static_cast<std::size_t>(buffer.pairCount));
     std::size_t next = 0;
     for (std::size_t k = 0; k < buffer.rowCount; ++k) {
-        const auto end = static_cast<std::size_t>(static_cast<std::uint64_t>(buffer.ends[k]) - buffer.firstPair);
+        const auto end =
+            static_cast<std::size_t>(static_cast<std::uint64_t>(buffer.ends[k]) - buffer.firstPair);
         for (; next < end; ++next) {
             if (next % kDistancesBetweenChecks == 0) mCancel.check();
             distances[next] =
@@ -115,10 +116,13 @@ void NpzInOrder::write(const Buffer& buffer)
                               (buffer.firstPair + buffer.pairCount) * mExpected.indexBytes;
     if (end > mReservedEnd) mFile.reserve(mReservedEnd = end + kReserveBytes);
     // Before the end of the first row stands a 0.
-    writeValues(NpzLayout::kIndptr, buffer.firstRow + 1, buffer.ends.data(), buffer.rowCount, sizeof(std::int64_t));
-    writeValues(NpzLayout::kIndices, buffer.firstPair, indicesOf(buffer), buffer.pairCount, mExpected.indexBytes);
+    writeValues(NpzLayout::kIndptr, buffer.firstRow + 1, buffer.ends.data(), buffer.rowCount,
+                sizeof(std::int64_t));
+    writeValues(NpzLayout::kIndices, buffer.firstPair, indicesOf(buffer), buffer.pairCount,
+                mExpected.indexBytes);
     if (mDistancesOf)
-        writeValues(NpzLayout::kData, buffer.firstPair, buffer.distances.data(), buffer.pairCount, sizeof(float));
+        writeValues(NpzLayout::kData, buffer.firstPair, buffer.distances.data(), buffer.pairCount,
+                    sizeof(float));
 }
 
 // Writes it, and what others leave meanwhile; or leaves it to the one who writes.

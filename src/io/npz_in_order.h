@@ -70,8 +70,8 @@ private:
     bool mIsWriting = false, mFailed = false;
     std::vector<std::unique_ptr<Buffer>> mFree;
     std::deque<std::unique_ptr<Buffer>> mQueue; // to be written
-    std::vector<Crcs> mRuns; // by index
-    std::uint64_t mReservedEnd = 0; // of who writes
+    std::vector<Crcs> mRuns;                    // by index
+    std::uint64_t mReservedEnd = 0;             // of who writes
 };
 
 } // namespace vdb_nns

@@ -274,8 +274,8 @@ void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const JobRepor
     report.seconds.write = job.writeSeconds + watch.seconds();
 }
 
-void fillReport(const SearchEngine& engine, const SearchFlags& flags, const JobReport& job, const NeighborLists& lists,
-                SearchReport& report)
+void fillReport(const SearchEngine& engine, const SearchFlags& flags, const JobReport& job,
+                const NeighborLists& lists, SearchReport& report)
 {
     fillGridReport(lists.grid(), job.settled.search, report);
     report.listBytes = lists.bytes();
