@@ -153,14 +153,18 @@ public:
           mConsumer(consumer),
           mWantsChecksum(search.mWantsChecksum),
           mAll(static_cast<std::uint32_t>(result.view.size())),
-          mWindow(windowBytes),
+          mWindow(windowBytes, idleMemory(search.mEngine.scratch)),
           mMakers([this] { return std::make_unique<RowMaker>(mWindow); }),
           mDone(mOrder.batches.size(), 0),
           mExpectedBytes(static_cast<std::uint64_t>(static_cast<double>(search.windowRows()) *
                                                     search.expectedNeighbors() * sizeof(std::uint32_t)))
     {
         const std::size_t particles = mRun.queries.particleCount();
-        mPlaces.resizeDiscarding(particles);
+        mPlaces = mEngine.scratch.leafOf.data(); // idle too
+        if (mEngine.scratch.leafOf.size() < particles) {
+            mOwnPlaces.resizeDiscarding(particles);
+            mPlaces = mOwnPlaces.data();
+        }
         result.rowCount.resizeDiscarding(particles);
         result.slotOf.resizeDiscarding(mAll);
         if (particles < mAll) std::fill(result.slotOf.begin(), result.slotOf.end(), kNoSlot);
@@ -177,6 +181,13 @@ public:
     }
 
 private:
+    // The sort of the grid is done, and its memory was touched.
+    static Span<std::uint32_t> idleMemory(const GridScratch& scratch)
+    {
+        return {reinterpret_cast<std::uint32_t*>(scratch.records.data()),
+                scratch.records.usedBytes() / sizeof(std::uint32_t)};
+    }
+
     // A run, and where its rows are found.
     struct Claim {
         std::size_t index;
@@ -272,7 +283,7 @@ private:
             mRun.cancel.check();
             const Piece& piece = pieces[k];
             maker.make(mRun, {piece.leaf, piece.firstSlot, piece.endSlot, state.neighborhoods[k].leaf}, state,
-                       mPlaces.data(), mResult.rowCount.data());
+                       mPlaces, mResult.rowCount.data());
             for (std::uint32_t slot = piece.firstSlot; slot < piece.endSlot; ++slot)
                 mResult.slotOf[grid.number[slot]] = slot;
         }
@@ -314,7 +325,8 @@ private:
     const bool mWantsChecksum;
     const std::uint32_t mAll; // rows
     RowWindow mWindow;
-    PageArray<std::uint32_t> mPlaces; // by slot
+    std::uint32_t* mPlaces = nullptr; // by slot
+    PageArray<std::uint32_t> mOwnPlaces;
     tbb::enumerable_thread_specific<std::unique_ptr<RowMaker>> mMakers;
 
     std::mutex mMutex;

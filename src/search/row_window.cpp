@@ -10,9 +10,12 @@ constexpr std::uint64_t kMostChunks = std::uint64_t(1) << (32 - RowWindow::kChun
 
 } // namespace
 
-RowWindow::RowWindow(std::uint64_t allowedBytes)
-    : mChunks(static_cast<std::size_t>(std::min(allowedBytes / kChunkBytes, kMostChunks)))
+RowWindow::RowWindow(std::uint64_t allowedBytes, Span<std::uint32_t> lent)
+    : mChunks(static_cast<std::size_t>(
+          std::min(allowedBytes / kChunkBytes + lent.size() / kChunkEntries, kMostChunks)))
 {
+    for (std::size_t c = 0; c < std::min(lent.size() / kChunkEntries, mChunks.size()); ++c)
+        mChunks[c].begin = lent.data() + c * kChunkEntries;
 }
 
 std::uint32_t RowWindow::take()
@@ -24,7 +27,12 @@ std::uint32_t RowWindow::take()
         mFree.pop_back();
     } else {
         if (mUsed == mChunks.size()) throw Exceeded();
-        mChunks[mUsed++].memory = PageBlock(kChunkBytes);
+        Chunk& next = mChunks[mUsed];
+        if (!next.begin) {
+            next.memory = PageBlock(kChunkBytes);
+            next.begin = static_cast<std::uint32_t*>(next.memory.data());
+        }
+        ++mUsed;
     }
     mChunks[chunk].held = 1;
     ++mHeldChunks;

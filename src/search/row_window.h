@@ -3,6 +3,7 @@
 #pragma once
 
 #include "util/memory.h"
+#include "vdb_nns/types.h"
 
 #include <atomic>
 #include <cstddef>
@@ -21,7 +22,8 @@ public:
     static constexpr std::size_t kChunkEntries = std::size_t(1) << kChunkBits;
     static constexpr std::size_t kChunkBytes = kChunkEntries * sizeof(std::uint32_t);
 
-    explicit RowWindow(std::uint64_t allowedBytes);
+    // `lent`: memory that serves first and is not counted, for pages that were never touched are the slowest.
+    RowWindow(std::uint64_t allowedBytes, Span<std::uint32_t> lent);
 
     // A chunk, held until release() was called for the one that takes it and for each row that addRows() counted. Throws
     // Exceeded. Thread-safe, as all functions.
@@ -31,10 +33,7 @@ public:
 
     std::uint64_t heldBytes() const { return mHeldChunks * kChunkBytes; }
 
-    std::uint32_t* begin(std::uint32_t chunk) const
-    {
-        return static_cast<std::uint32_t*>(mChunks[chunk].memory.data());
-    }
+    std::uint32_t* begin(std::uint32_t chunk) const { return mChunks[chunk].begin; }
     // A row's place is a number of 32 bits.
     std::uint32_t placeOf(std::uint32_t chunk, const std::uint32_t* row) const
     {
@@ -48,12 +47,13 @@ public:
 
 private:
     struct Chunk {
-        PageBlock memory;
+        std::uint32_t* begin = nullptr;
+        PageBlock memory; // none in lent chunks
         std::atomic<std::uint32_t> held{0};
     };
 
     std::mutex mMutex;
-    std::vector<Chunk> mChunks; // as many as are allowed; memory once taken
+    std::vector<Chunk> mChunks; // as many as are allowed: first those that are lent, the others with memory once taken
     std::vector<std::uint32_t> mFree;
     std::uint32_t mUsed = 0; // chunks that have memory
     std::atomic<std::uint64_t> mHeldChunks{0};
