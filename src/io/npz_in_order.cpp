@@ -23,7 +23,8 @@ constexpr std::size_t kRowsAhead = 8;
 
 void prefetch(const std::uint32_t* row, std::uint32_t count)
 {
-    constexpr std::uint32_t kLine = 16, kMost = 16 * kLine; // entries; the rest of a long row is guessed right
+    constexpr std::uint32_t kLine = 16,
+                            kMost = 16 * kLine; // entries; the rest of a long row is guessed right
     for (std::uint32_t k = 0; k < std::min(count, kMost); k += kLine) __builtin_prefetch(row + k);
 }
 

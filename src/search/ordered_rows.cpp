@@ -156,8 +156,7 @@ public:
           mWindow(windowBytes, idleMemory(search.mEngine.scratch)),
           mMakers([this] { return std::make_unique<RowMaker>(mWindow); }),
           mDone(mOrder.batches.size(), 0),
-          mExpectedBytes(static_cast<std::uint64_t>(static_cast<double>(search.windowRows()) *
-                                                    search.expectedNeighbors() * sizeof(std::uint32_t)))
+          mMostBytes(search.mostBytesBegun(windowBytes))
     {
         const std::size_t particles = mRun.queries.particleCount();
         mPlaces = mEngine.scratch.leafOf.data(); // idle too
@@ -238,7 +237,7 @@ private:
     bool mayBegin() const
     {
         if (mBegun == mOrder.batches.size()) return false;
-        return mUnderWay == 0 || mWindow.heldBytes() <= mExpectedBytes + mExpectedBytes / 2 + kAheadBytes;
+        return mUnderWay == 0 || mWindow.heldBytes() <= mMostBytes;
     }
 
     // Numbers below it have all their rows.
@@ -334,7 +333,7 @@ private:
     bool mFailed = false;
     std::size_t mBegun = 0, mUnderWay = 0, mFirstUndone = 0; // batches
     std::vector<char> mDone;
-    const std::uint64_t mExpectedBytes; // of rows that wait for others
+    const std::uint64_t mMostBytes; // of rows that are held as another batch begins
     std::size_t mRuns = 0;
     std::uint32_t mClaimed = 0, mScanned = 0; // rows before them
     std::uint64_t mClaimedPairs = 0,
@@ -364,6 +363,16 @@ OrderedSearch::~OrderedSearch() = default;
 std::uint64_t OrderedSearch::windowRows() const
 {
     return mOrder->windowRows;
+}
+
+// What waits for others anyway, and some more; each thread may take a chunk or two after that.
+std::uint64_t OrderedSearch::mostBytesBegun(std::uint64_t windowBytes) const
+{
+    const auto threads = static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());
+    const auto waiting = static_cast<std::uint64_t>(static_cast<double>(windowRows()) * mExpectedNeighbors *
+                                                    sizeof(std::uint32_t));
+    const std::uint64_t kept = 2 * threads * RowWindow::kChunkBytes;
+    return std::min(waiting + waiting / 2 + kAheadBytes, windowBytes - std::min(windowBytes, kept));
 }
 
 std::uint64_t OrderedSearch::countPairs()

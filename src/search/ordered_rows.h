@@ -59,6 +59,8 @@ private:
     struct TaskOrder;
     class Rows;
 
+    std::uint64_t mostBytesBegun(std::uint64_t windowBytes) const;
+
     EngineState& mEngine;
     const SparseGrid mGrid;
     const SearchOptions mOptions;

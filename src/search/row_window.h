@@ -53,7 +53,8 @@ private:
     };
 
     std::mutex mMutex;
-    std::vector<Chunk> mChunks; // as many as are allowed: first those that are lent, the others with memory once taken
+    std::vector<Chunk>
+        mChunks; // as many as are allowed: first those that are lent, the others with memory once taken
     std::vector<std::uint32_t> mFree;
     std::uint32_t mUsed = 0; // chunks that have memory
     std::atomic<std::uint64_t> mHeldChunks{0};
