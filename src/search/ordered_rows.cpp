@@ -380,7 +380,8 @@ std::uint64_t OrderedSearch::countPairs()
     mEngine.beginStatistics(mOptions);
     PageArray<std::uint32_t> counts; // by slot
     counts.resizeDiscarding(mRun.queries.particleCount());
-    forEachTask(mRun.queries, mRun.pieces, mEngine.states, mRun.cancel,
+    const CancelCheck cancel(mOptions.progress, "count");
+    forEachTask(mRun.queries, mRun.pieces, mEngine.states, cancel,
                 [&](ThreadState& state, const SearchTask& task) {
                     state.sink.slotBase = 0;
                     state.sink.rowCount = counts.data();
