@@ -9,6 +9,7 @@
 #include <tbb/blocked_range.h>
 #include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
+#include <tbb/parallel_sort.h>
 #include <tbb/task_arena.h>
 
 #include <algorithm>
@@ -61,8 +62,8 @@ OrderedSearch::TaskOrder::TaskOrder(const SparseGridData& grid, const std::vecto
                         static_cast<std::uint32_t>(p)};
         }
     });
-    std::sort(order.begin(), order.end(),
-              [](const Numbered& a, const Numbered& b) { return a.lowest < b.lowest; });
+    tbb::parallel_sort(order.begin(), order.end(),
+                       [](const Numbered& a, const Numbered& b) { return a.lowest < b.lowest; });
     pieces.reserve(unordered.size());
     std::uint64_t queries = 0;
     for (const Numbered& next : order) {
