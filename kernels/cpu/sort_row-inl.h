@@ -94,6 +94,13 @@ __attribute__((always_inline)) inline void sortVectors(Simd::I* v)
 {
     if constexpr (kCount == 1) {
         v[0] = sortLanes<kSortLanes>(v[0]);
+    } else if constexpr (kCount == 3) { // as four, without what would be done to a last one that is filled up
+        sortVectors<2>(v);
+        sortVectors<1>(v + 2);
+        const Simd::I other = Simd::swapLanes<kSortLanes - 1>(v[2]);
+        v[2] = mergeLanes<kSortLanes / 2>(Simd::maxUnsigned(v[1], other));
+        v[1] = Simd::minUnsigned(v[1], other);
+        mergeVectors<2>(v);
     } else {
         sortVectors<kCount / 2>(v);
         sortVectors<kCount / 2>(v + kCount / 2);
@@ -189,6 +196,7 @@ void sortRow(const std::uint32_t* row, std::size_t size, std::uint32_t* out, std
     const auto count = static_cast<std::ptrdiff_t>(size);
     if (count <= kSortLanes) return sortInRegisters<1>(row, count, out);
     if (count <= 2 * kSortLanes) return sortInRegisters<2>(row, count, out);
+    if (count <= 3 * kSortLanes) return sortInRegisters<3>(row, count, out);
     if (count <= 4 * kSortLanes) return sortInRegisters<4>(row, count, out);
     if (count <= kSortBlock) return sortInRegisters<kSortRegisters>(row, count, out);
     // The rows of a crowded cell mostly ascend.
