@@ -27,8 +27,10 @@ constexpr std::uint32_t kBatchQueries = 1024;
 constexpr std::uint64_t kRunPairs = std::uint64_t(1) << 18;
 constexpr std::size_t kRunRows = std::size_t(1) << 17;
 // Beyond what the window needs by itself: what threads may make while one is late.
-constexpr std::uint64_t kAheadBytes = std::uint64_t(64) << 20;
+constexpr std::uint64_t kAheadBytes = std::uint64_t(24) << 20;
 
+// Of each thread's batch.
+constexpr std::uint64_t kThreadBytes = std::uint64_t(2) << 20;
 // Queries whose neighbors are counted to expect those of all.
 constexpr std::size_t kSampledQueries = 256;
 
@@ -127,10 +129,9 @@ private:
         self.noteRows();
         if (sink.out) self.mWindow.release(self.mChunk);
         sink.out = sink.end = nullptr;
-        if (entries > RowWindow::kChunkEntries) throw RowWindow::Exceeded();
-        self.mChunk = self.mWindow.take();
+        self.mChunk = self.mWindow.take(entries);
         sink.out = self.mWindow.begin(self.mChunk);
-        sink.end = sink.out + RowWindow::kChunkEntries;
+        sink.end = self.mWindow.end(self.mChunk);
     }
 
     RowWindow& mWindow;
@@ -302,7 +303,7 @@ private:
             const std::uint32_t slot = mResult.slotOf[claim.firstRow + k];
             counts[k] = slot == kNoSlot ? 0 : mResult.rowCount[slot];
             if (counts[k] == 0) continue;
-            const std::uint32_t place = mPlaces[slot], chunk = RowWindow::chunkOf(place);
+            const std::uint32_t place = mPlaces[slot], chunk = mWindow.firstOf(place);
             rows[k] = mWindow.rowAt(place);
             if (held.empty() || held.back().chunk != chunk) held.push_back({chunk, 0});
             ++held.back().rows;
@@ -366,13 +367,13 @@ std::uint64_t OrderedSearch::windowRows() const
     return mOrder->windowRows;
 }
 
-// What waits for others anyway, and some more; each thread may take a chunk or two after that.
+// What waits for others anyway, and some more; each thread may go on to the end of its batch after that.
 std::uint64_t OrderedSearch::mostBytesBegun(std::uint64_t windowBytes) const
 {
     const auto threads = static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());
     const auto waiting = static_cast<std::uint64_t>(static_cast<double>(windowRows()) * mExpectedNeighbors *
                                                     sizeof(std::uint32_t));
-    const std::uint64_t kept = 2 * threads * RowWindow::kChunkBytes;
+    const std::uint64_t kept = threads * kThreadBytes;
     return std::min(waiting + waiting / 2 + kAheadBytes, windowBytes - std::min(windowBytes, kept));
 }
 

@@ -147,7 +147,7 @@ TEST_F(NpzSearch, WritesNothingIfTooManyRowsWouldWait)
     EngineState engine;
     EXPECT_FALSE(searchToNpz(engine, grid, {}, options(ListValues::kConnectivity, 1 << 20)));
     EXPECT_EQ(fileCount(), 0);
-    // What was expected to suffice may not: four chunks do not hold a row of each thread and those that wait.
+    // What was expected to suffice may not: these are 2 MiB.
     OrderedSearch rows(engine, grid, {});
     EXPECT_GT(rows.windowRows(), 0u);
     EXPECT_NEAR(rows.expectedNeighbors(), 29, 3);
