@@ -3,8 +3,6 @@
 #include "io/output_file.h"
 #include "util/cancel.h"
 
-#include <tbb/parallel_for.h>
-
 #include <algorithm>
 #include <vector>
 
@@ -69,13 +67,11 @@ void writeOnes(OutputFile& file, NpzMember& data, const CancelCheck& cancel)
 {
     const std::vector<std::int8_t> ones(
         static_cast<std::size_t>(std::min<std::uint64_t>(kOnes, data.valueBytes)), 1);
-    const std::uint64_t pieces = (data.valueBytes + kOnes - 1) / kOnes;
-    tbb::parallel_for(std::uint64_t(0), pieces, [&](std::uint64_t p) {
+    for (std::uint64_t begin = 0; begin < data.valueBytes; begin += kOnes) {
         cancel.check();
-        const std::uint64_t begin = p * kOnes;
         file.writeAt(data.valueOffset + begin, ones.data(),
                      static_cast<std::size_t>(std::min<std::uint64_t>(kOnes, data.valueBytes - begin)));
-    });
+    }
     data.crc = crcJoined(data.crc, crcOfOnes(data.valueBytes), data.valueBytes);
 }
 

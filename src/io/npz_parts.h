@@ -29,7 +29,7 @@ NpzLayout beginNpz(std::uint64_t rowCount, std::uint64_t pairCount, ListValues v
 void appendValues(OutputFile& file, NpzMember& member, std::uint64_t offset, const void* data,
                   std::size_t bytes, std::uint32_t crc);
 
-// The values of `data` for connectivity, from all threads, and their CRC.
+// The values of `data` for connectivity, and their CRC.
 void writeOnes(OutputFile& file, NpzMember& data, const CancelCheck& cancel);
 
 // Once the large arrays are written and in their CRCs: the small members, the headers, the directory.
