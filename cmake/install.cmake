@@ -25,5 +25,6 @@ write_basic_package_version_file("${PROJECT_BINARY_DIR}/vdb_nnsConfigVersion.cma
     COMPATIBILITY SameMinorVersion)
 install(FILES "${PROJECT_BINARY_DIR}/vdb_nnsConfig.cmake" "${PROJECT_BINARY_DIR}/vdb_nnsConfigVersion.cmake"
     "${PROJECT_SOURCE_DIR}/cmake/FindOpenVDB.cmake" "${PROJECT_SOURCE_DIR}/cmake/FindBlosc.cmake"
+    "${PROJECT_SOURCE_DIR}/cmake/FindLibdeflate.cmake"
     DESTINATION "${package_dir}")
 install(FILES "${PROJECT_SOURCE_DIR}/LICENSE" DESTINATION "${CMAKE_INSTALL_DATADIR}/doc/vdb_nns")

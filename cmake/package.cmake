@@ -96,7 +96,7 @@ set(CPACK_DEBIAN_PACKAGE_SECTION libdevel)
 set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
 # What a program that links the static library links too, and finds by our CMake files; Boost is for the headers of OpenVDB, whose
 # package does not ask for it.
-set(CPACK_DEBIAN_PACKAGE_DEPENDS "libopenvdb-dev, libblosc-dev, libtbb-dev, zlib1g-dev, libboost-dev")
+set(CPACK_DEBIAN_PACKAGE_DEPENDS "libopenvdb-dev, libblosc-dev, libtbb-dev, zlib1g-dev, libdeflate-dev, libboost-dev")
 set(CPACK_DEBIAN_PACKAGE_SUGGESTS "python3-matplotlib")
 set(CPACK_DEBIAN_PACKAGE_DESCRIPTION # behind the project's own, of one line
 "For every particle of a point file or array, vdb_nns finds all others within a radius, exactly, out of core where

@@ -8,7 +8,7 @@
 set -euo pipefail
 
 packages=(g++ cmake ninja-build git
-          libopenvdb-dev libblosc-dev libtbb-dev libboost-dev libeigen3-dev zlib1g-dev
+          libopenvdb-dev libblosc-dev libtbb-dev libboost-dev libeigen3-dev zlib1g-dev libdeflate-dev
           libcli11-dev nlohmann-json3-dev libnanoflann-dev)
 for flag in "$@"; do
     case $flag in

@@ -114,7 +114,8 @@ public:
     /// The whole job, as the program's `search` runs it: on the CPU or on devices, within a limit of host memory,
     /// falling back to a smaller encoding if the lists do not fit. The same lists, byte for byte, wherever they
     /// are found. If hostMemoryBytes is set, the engine first frees all it has kept, open devices included.
-    /// A Progress is told of the steps "grid"; "estimate" and "plan" where there are devices; "search".
+    /// A Progress is told of the steps "grid"; "estimate" and "plan" where there are devices; "count" where
+    /// JobOptions::npz needs the number of pairs; "search".
     /// @param options may be those of `report`
     /// @throws CapacityError when nothing that is allowed fits, with what takes the memory; DeviceError when a
     ///         device fails under DeviceFailure::kStop; and as buildGrid() and makePlan(): InvalidInput,

@@ -23,6 +23,14 @@ struct WrittenKinds {
     bool vdb = false; ///< points with attributes
 };
 
+/// An .npz file that is to be written while its rows are found.
+struct NpzTarget {
+    std::string path;
+    ListValues values = ListValues::kConnectivity;
+    OutputOptions output;
+    bool checksum = false; ///< of all pairs, for the report
+};
+
 struct JobOptions {
     /// `encoding`: how lists are to be held. `hostMemoryBytes`: the most that the process may have resident, points and writers
     /// included; 0: the free memory, less a reserve for threads and writers.
@@ -35,16 +43,23 @@ struct JobOptions {
     /// Nobody reads the lists but writeJobNpz() and counts. Where index lists do not fit, only counts are kept, and the rows are
     /// found again as the file is written. If particles are not numbered along space, masks are tried first (mayUseMasks).
     bool mayStream = false;
+    /// Nobody reads the lists but this file and counts. On the CPU, where index lists are asked for and particles are numbered
+    /// about along space, rows go there as they are found, once, and nothing holds them; the job has written the file then.
+    /// Else the caller writes it with writeJobNpz().
+    std::optional<NpzTarget> npz;
 };
 
 /// What a job did. If it throws, `notes`, `settled` and `gridSeconds` tell how far it came; the rest is unspecified.
 struct JobReport {
-    double gridSeconds = 0;              ///< of all grids that were made
-    double searchSeconds = 0;            ///< of all tries, without grids and plans
-    std::optional<Plan> plan;            ///< of the last try; empty without devices
-    std::optional<ScheduleRun> run;      ///< of the last try; empty without devices
-    bool streamed = false;               ///< the lists hold counts alone; see JobOptions::mayStream
-    std::uint64_t streamBufferBytes = 0; ///< for streamNpz()
+    double gridSeconds = 0;         ///< of all grids that were made
+    double searchSeconds = 0;       ///< of all tries, without grids and plans
+    std::optional<Plan> plan;       ///< of the last try; empty without devices
+    std::optional<ScheduleRun> run; ///< of the last try; empty without devices
+    double writeSeconds = 0;        ///< of JobOptions::npz, for what had to wait until all rows were found
+    bool streamed = false;          ///< the lists hold counts alone; see JobOptions::mayStream, npz
+    bool written = false;           ///< JobOptions::npz is
+    std::optional<std::uint64_t> checksum; ///< of the lists that were written, if JobOptions::npz asks for it
+    std::uint64_t streamBufferBytes = 0;   ///< for streamNpz()
     /// The options that it ended with. The next search of points like these starts there without trying what did not fit.
     JobOptions settled;
     /// What did not fit and what was done instead, a sentence each.

@@ -7,6 +7,7 @@
 #include "cpu/locate_axis-inl.h"
 #include "cpu/sample_cubes-inl.h"
 #include "cpu/search_task-inl.h"
+#include "cpu/sort_row-inl.h"
 
 namespace vdb_nns {
 namespace {
@@ -17,7 +18,8 @@ constexpr Kernels kKernelTable = {searchTask<IndexRows<StreamedRows>>,
                                   searchTask<CountRows>,
                                   locateAxis,
                                   sampleCubes,
-                                  expectCells};
+                                  expectCells,
+                                  sortRow};
 
 } // namespace
 } // namespace vdb_nns

@@ -37,6 +37,18 @@ using ExpectCellsFunction = void (*)(const BlockView&, std::uint32_t leaf, const
                                      const float* shares, CellCounts&, float* expected,
                                      std::uint32_t* candidates);
 
+// Writes the numbers of a row ascending to another place, and up to kSortOverrun entries behind them that mean nothing: rows
+// are sorted one behind the other. `scratch` has room for sortScratchEntries(count).
+using SortRowFunction = void (*)(const std::uint32_t* row, std::size_t count, std::uint32_t* out,
+                                 std::uint32_t* scratch);
+constexpr std::size_t kSortOverrun = 15;
+// Long rows are filled up to a multiple of what is sorted in registers, which is no more than this.
+constexpr std::size_t kLargestSortBlock = 128;
+constexpr std::size_t sortScratchEntries(std::size_t count)
+{
+    return 2 * (count + kLargestSortBlock);
+}
+
 // kernel_table-inl.h fills it, by position.
 struct Kernels {
     SearchTaskFunction
@@ -47,6 +59,7 @@ struct Kernels {
     LocateAxisFunction locateAxis;
     SampleCubesFunction sampleCubes;
     ExpectCellsFunction expectCells;
+    SortRowFunction sortRow;
 };
 
 extern const Kernels kKernelsScalar, kKernelsSse4, kKernelsAvx2, kKernelsAvx512;

@@ -3,9 +3,12 @@
 // search_*.cpp files only, each compiled with its own flags: everything has internal linkage.
 //
 // movesign() gives one bit a lane, lane 0 lowest. compress(v, order(m)) moves the lanes of m to the front, in order; what
-// it leaves in the other lanes is finite if v is. stream() writes past the caches, to aligned addresses.
+// it leaves in the other lanes is finite if v is. stream() writes past the caches, to aligned addresses. For sorting:
+// swapLanes<x>(v) has lane i ^ x of v in lane i; lanesOf<bit>(v, w) takes the lanes whose number has the bit from w, the
+// others from v. loadFirst() reads 0 <= n < kLanes values; the other lanes are 2^32-1.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <cstring>
 
@@ -65,6 +68,27 @@ struct Simd256 {
     }
     static F compress(F v, Order o) { return _mm256_permutevar8x32_ps(v, o); }
     static I compress(I v, Order o) { return _mm256_permutevar8x32_epi32(v, o); }
+    static I minUnsigned(I a, I b) { return _mm256_min_epu32(a, b); }
+    static I maxUnsigned(I a, I b) { return _mm256_max_epu32(a, b); }
+    template <int kX>
+    static I swapLanes(I v)
+    {
+        if constexpr (kX < 4) return _mm256_shuffle_epi32(v, kX == 1 ? 0xB1 : kX == 2 ? 0x4E : 0x1B);
+        if constexpr (kX == 4) return _mm256_permute2x128_si256(v, v, 1);
+        return _mm256_permutevar8x32_epi32(v, _mm256_setr_epi32(7, 6, 5, 4, 3, 2, 1, 0));
+    }
+    template <int kBit>
+    static I lanesOf(I without, I with)
+    {
+        return _mm256_blend_epi32(without, with, kBit == 1 ? 0xAA : kBit == 2 ? 0xCC : 0xF0);
+    }
+    static I loadFirst(const std::uint32_t* p, std::ptrdiff_t n)
+    {
+        const __m256i taken = _mm256_cmpgt_epi32(_mm256_set1_epi32(static_cast<int>(n)),
+                                                 _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7));
+        return _mm256_or_si256(_mm256_maskload_epi32(reinterpret_cast<const int*>(p), taken),
+                               _mm256_xor_si256(taken, _mm256_set1_epi32(-1)));
+    }
 };
 
 #endif
@@ -100,6 +124,31 @@ struct Simd {
     static Order order(Mask m) { return static_cast<__mmask16>(m); }
     static F compress(F v, Order o) { return _mm512_maskz_compress_ps(o, v); }
     static I compress(I v, Order o) { return _mm512_maskz_compress_epi32(o, v); }
+    static I minUnsigned(I a, I b) { return _mm512_min_epu32(a, b); }
+    static I maxUnsigned(I a, I b) { return _mm512_max_epu32(a, b); }
+    template <int kX>
+    static I swapLanes(I v)
+    {
+        if constexpr (kX < 4) {
+            return _mm512_shuffle_epi32(v, static_cast<_MM_PERM_ENUM>(kX == 1   ? 0xB1
+                                                                      : kX == 2 ? 0x4E
+                                                                                : 0x1B));
+        }
+        if constexpr (kX == 4) return _mm512_shuffle_i32x4(v, v, 0xB1);
+        if constexpr (kX == 8) return _mm512_shuffle_i32x4(v, v, 0x4E);
+        if constexpr (kX == 7) return swapLanes<4>(swapLanes<3>(v));
+        return _mm512_shuffle_i32x4(swapLanes<3>(v), swapLanes<3>(v), 0x1B);
+    }
+    template <int kBit>
+    static I lanesOf(I without, I with)
+    {
+        constexpr int lanes = kBit == 1 ? 0xAAAA : kBit == 2 ? 0xCCCC : kBit == 4 ? 0xF0F0 : 0xFF00;
+        return _mm512_mask_mov_epi32(without, static_cast<__mmask16>(lanes), with);
+    }
+    static I loadFirst(const std::uint32_t* p, std::ptrdiff_t n)
+    {
+        return _mm512_mask_loadu_epi32(_mm512_set1_epi32(-1), static_cast<__mmask16>((1u << n) - 1), p);
+    }
 };
 
 #elif defined(VDB_NNS_SIMD_AVX2)
@@ -158,6 +207,24 @@ struct Simd {
     }
     static F compress(F v, Order o) { return _mm_castsi128_ps(_mm_shuffle_epi8(_mm_castps_si128(v), o)); }
     static I compress(I v, Order o) { return _mm_shuffle_epi8(v, o); }
+    static I minUnsigned(I a, I b) { return _mm_min_epu32(a, b); }
+    static I maxUnsigned(I a, I b) { return _mm_max_epu32(a, b); }
+    template <int kX>
+    static I swapLanes(I v)
+    {
+        return _mm_shuffle_epi32(v, kX == 1 ? 0xB1 : kX == 2 ? 0x4E : 0x1B);
+    }
+    template <int kBit>
+    static I lanesOf(I without, I with)
+    {
+        return _mm_blend_epi16(without, with, kBit == 1 ? 0xCC : 0xF0);
+    }
+    static I loadFirst(const std::uint32_t* p, std::ptrdiff_t n)
+    {
+        std::uint32_t lane[kLanes];
+        for (std::ptrdiff_t i = 0; i < kLanes; ++i) lane[i] = i < n ? p[i] : ~0u;
+        return load(lane);
+    }
 };
 
 #else
@@ -198,6 +265,25 @@ struct Simd {
     static Order order(Mask) { return {}; }
     static F compress(F v, Order) { return v; }
     static I compress(I v, Order) { return v; }
+    static I minUnsigned(I a, I b) { return isBelow(b, a) ? b : a; }
+    static I maxUnsigned(I a, I b) { return isBelow(b, a) ? a : b; }
+    template <int kX>
+    static I swapLanes(I v)
+    {
+        return v;
+    }
+    template <int kBit>
+    static I lanesOf(I without, I)
+    {
+        return without;
+    }
+    static I loadFirst(const std::uint32_t*, std::ptrdiff_t) { return {-1}; }
+
+private:
+    static bool isBelow(I a, I b)
+    {
+        return static_cast<std::uint32_t>(a.v) < static_cast<std::uint32_t>(b.v);
+    }
 };
 
 #endif

@@ -1,23 +1,26 @@
 #include "io/npz_parts.h"
 
 #include "io/output_file.h"
+#include "util/cancel.h"
 
 #include <algorithm>
+#include <vector>
 
+#include <libdeflate.h>
 #include <zlib.h>
 
 namespace vdb_nns {
 
 namespace {
 
-// Up to this length insertion beats std::sort.
-constexpr std::ptrdiff_t kInsertionLimit = 24;
+// Ones that are written at once: they stay in the second-level cache.
+constexpr std::size_t kOnes = std::size_t(1) << 18;
 
 } // namespace
 
 std::uint32_t crcOf(std::uint32_t crc, const void* data, std::size_t bytes)
 {
-    return static_cast<std::uint32_t>(::crc32_z(crc, static_cast<const Bytef*>(data), bytes));
+    return ::libdeflate_crc32(crc, data, bytes);
 }
 
 std::uint32_t crcJoined(std::uint32_t a, std::uint32_t b, std::uint64_t bytesOfB)
@@ -44,20 +47,6 @@ std::uint32_t crcOfOnes(std::uint64_t n)
     return result;
 }
 
-void sortRow(std::uint32_t* first, std::uint32_t* last)
-{
-    if (last - first > kInsertionLimit) {
-        std::sort(first, last);
-        return;
-    }
-    for (std::uint32_t* next = first + (first != last); next < last; ++next) {
-        const std::uint32_t value = *next;
-        std::uint32_t* hole = next;
-        for (; hole != first && hole[-1] > value; --hole) *hole = hole[-1];
-        *hole = value;
-    }
-}
-
 NpzLayout beginNpz(std::uint64_t rowCount, std::uint64_t pairCount, ListValues values)
 {
     NpzLayout layout = layoutNpz(rowCount, pairCount, values);
@@ -74,6 +63,18 @@ void appendValues(OutputFile& file, NpzMember& member, std::uint64_t offset, con
     member.crc = crcJoined(member.crc, crc, bytes);
 }
 
+void writeOnes(OutputFile& file, NpzMember& data, const CancelCheck& cancel)
+{
+    const std::vector<std::int8_t> ones(
+        static_cast<std::size_t>(std::min<std::uint64_t>(kOnes, data.valueBytes)), 1);
+    for (std::uint64_t begin = 0; begin < data.valueBytes; begin += kOnes) {
+        cancel.check();
+        file.writeAt(data.valueOffset + begin, ones.data(),
+                     static_cast<std::size_t>(std::min<std::uint64_t>(kOnes, data.valueBytes - begin)));
+    }
+    data.crc = crcJoined(data.crc, crcOfOnes(data.valueBytes), data.valueBytes);
+}
+
 void finishNpz(OutputFile& file, NpzLayout& layout, std::uint64_t rowCount)
 {
     const std::int64_t shape[2] = {static_cast<std::int64_t>(rowCount), static_cast<std::int64_t>(rowCount)};
@@ -88,9 +89,11 @@ void finishNpz(OutputFile& file, NpzLayout& layout, std::uint64_t rowCount)
     file.writeAt(layout.directoryOffset, directory.data(), directory.size());
 }
 
-void requireRoom(const OutputFile& file, const NpzLayout& layout)
+void beginFile(OutputFile& file, const NpzLayout& layout)
 {
-    file.requireRoom(layout.directoryOffset + centralDirectory(layout).size());
+    const std::uint64_t bytes = layout.directoryOffset + centralDirectory(layout).size();
+    file.requireRoom(bytes);
+    file.reserve(bytes);
 }
 
 } // namespace vdb_nns

@@ -1,5 +1,4 @@
-// What both writers of .npz files share: CRCs and how they join, the order inside a row, and the parts around the large
-// arrays.
+// What both writers of .npz files share: CRCs and how they join, and the parts around the large arrays.
 #pragma once
 
 #include "io/npz_writer.h"
@@ -9,6 +8,7 @@
 
 namespace vdb_nns {
 
+class CancelCheck;
 class OutputFile;
 
 std::uint32_t crcOf(std::uint32_t crc, const void* data, std::size_t bytes);
@@ -22,9 +22,6 @@ std::uint32_t crcShare(std::uint32_t crcOfPiece, std::uint64_t bytesAfterPiece);
 // CRC of n bytes of value 1.
 std::uint32_t crcOfOnes(std::uint64_t n);
 
-// Sorts ascending.
-void sortRow(std::uint32_t* first, std::uint32_t* last);
-
 // Every member's CRC starts with that of its header.
 NpzLayout beginNpz(std::uint64_t rowCount, std::uint64_t pairCount, ListValues values);
 
@@ -32,10 +29,13 @@ NpzLayout beginNpz(std::uint64_t rowCount, std::uint64_t pairCount, ListValues v
 void appendValues(OutputFile& file, NpzMember& member, std::uint64_t offset, const void* data,
                   std::size_t bytes, std::uint32_t crc);
 
+// The values of `data` for connectivity, and their CRC.
+void writeOnes(OutputFile& file, NpzMember& data, const CancelCheck& cancel);
+
 // Once the large arrays are written and in their CRCs: the small members, the headers, the directory.
 void finishNpz(OutputFile& file, NpzLayout& layout, std::uint64_t rowCount);
 
-// Throws OutputError unless the disk has room for the file.
-void requireRoom(const OutputFile& file, const NpzLayout& layout);
+// Throws OutputError unless the disk has room for the file; takes it.
+void beginFile(OutputFile& file, const NpzLayout& layout);
 
 } // namespace vdb_nns

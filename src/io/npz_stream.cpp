@@ -7,6 +7,7 @@
 
 #include "io/npz_parts.h"
 #include "io/output_file.h"
+#include "io/row_sorter.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
 #include "util/known_value.h"
@@ -33,8 +34,6 @@ constexpr std::uint64_t kMostThreadBytes = std::uint64_t(8) << 30;
 constexpr std::size_t kStagedPairs = std::size_t(1) << 16;
 // Rows whose places are made at once.
 constexpr std::size_t kEndRows = std::size_t(1) << 16;
-// Ones that are written at once.
-constexpr std::size_t kOnes = std::size_t(1) << 20;
 
 // Where each row begins: its count, and one sum for every kStep rows.
 class RowPlaces {
@@ -191,9 +190,7 @@ public:
         for (const Row* row = firstRow(); row != lastRow(); ++row) {
             const bool follows = row != firstRow() && row[-1].number + 1 == row->number;
             if (!follows) place = mShared.places.begin(row->number);
-            std::uint32_t* const numbers = values() + row->begin;
-            sortRow(numbers, numbers + row->count);
-            mWriter.add(row->number, place, numbers, row->count);
+            mWriter.add(row->number, place, mSorter.sorted(values() + row->begin, row->count), row->count);
             place += row->count;
         }
         mWriter.write();
@@ -211,10 +208,8 @@ private:
     // A row that is longer than the buffer.
     void takeLong(std::uint32_t row, Span<const std::uint32_t> numbers)
     {
-        PageBlock copy(numbers.size() * sizeof(std::uint32_t));
-        auto* const first = static_cast<std::uint32_t*>(copy.data());
-        sortRow(first, std::copy(numbers.begin(), numbers.end(), first));
-        mWriter.add(row, mShared.places.begin(row), first, static_cast<std::uint32_t>(numbers.size()));
+        const auto count = static_cast<std::uint32_t>(numbers.size());
+        mWriter.add(row, mShared.places.begin(row), mSorter.sorted(numbers.data(), count), count);
         mWriter.write();
     }
 
@@ -224,6 +219,7 @@ private:
 
     const StreamedFile& mShared;
     RunWriter mWriter;
+    RowSorter mSorter;
     PageBlock mBuffer;
     std::size_t mEntries; // of 4 bytes
     std::size_t mUsed = 0, mRows = 0;
@@ -255,20 +251,6 @@ void writeEnds(OutputFile& file, const RowPlaces& places, NpzMember& indptr, con
         }
         if (row < places.size()) ends.push_back(end += places.count(row));
     }
-}
-
-void writeOnes(OutputFile& file, NpzMember& data, const CancelCheck& cancel)
-{
-    const std::vector<std::int8_t> ones(
-        static_cast<std::size_t>(std::min<std::uint64_t>(kOnes, data.valueBytes)), 1);
-    const std::uint64_t pieces = (data.valueBytes + kOnes - 1) / kOnes;
-    tbb::parallel_for(std::uint64_t(0), pieces, [&](std::uint64_t p) {
-        cancel.check();
-        const std::uint64_t begin = p * kOnes;
-        file.writeAt(data.valueOffset + begin, ones.data(),
-                     static_cast<std::size_t>(std::min<std::uint64_t>(kOnes, data.valueBytes - begin)));
-    });
-    data.crc = crcJoined(data.crc, crcOfOnes(data.valueBytes), data.valueBytes);
 }
 
 void writeRows(const StreamedFile& shared, NpzLayout& layout, std::size_t threadBytes, Progress* progress)
@@ -340,7 +322,7 @@ void streamNpzRows(const std::string& path, const NpzRowSource& source, ListValu
     OutputFile file(path, output);
     const RowPlaces places(source.counts());
     NpzLayout layout = beginNpz(places.size(), source.pairCount(), values);
-    requireRoom(file, layout);
+    beginFile(file, layout);
     writeEnds(file, places, layout.members[NpzLayout::kIndptr], cancel);
     isolated([&] {
         writeRows({file, source, places, layout, cancel, values == ListValues::kDistance}, layout,

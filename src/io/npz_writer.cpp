@@ -5,11 +5,13 @@
 
 #include "io/npz_parts.h"
 #include "io/output_file.h"
+#include "io/row_sorter.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
 #include "util/known_value.h"
 #include "vdb_nns/error.h"
 
+#include <oneapi/tbb/enumerable_thread_specific.h>
 #include <oneapi/tbb/parallel_for.h>
 #include <oneapi/tbb/parallel_invoke.h>
 
@@ -66,7 +68,7 @@ public:
 
     void write()
     {
-        requireRoom(mFile, mLayout);
+        beginFile(mFile, mLayout);
         const std::int64_t zero = 0;
         appendValues(mFile, mLayout.members[NpzLayout::kIndptr], 0, &zero, sizeof zero,
                      crcOf(0, &zero, sizeof zero));
@@ -132,10 +134,10 @@ private:
         mCancel.check();
         const std::uint64_t first = block.pairsBefore(task.rowBegin);
         std::uint32_t* row = block.indices.data() + first;
+        const std::uint32_t* const taskEnd = block.indices.data() + block.pairsBefore(task.rowEnd);
         for (std::size_t i = task.rowBegin; i < task.rowEnd; ++i) {
             std::uint32_t* const rowEnd = block.indices.data() + block.pairsBefore(i + 1);
-            mRows.copyRow(i, row);
-            sortRow(row, rowEnd);
+            sortInto(i, row, rowEnd, taskEnd);
             if (mHasDistances) {
                 float* distance = block.distances.data() + (row - block.indices.data());
                 for (; row != rowEnd; ++row) *distance++ = static_cast<float>(mRows.distance(i, *row));
@@ -150,6 +152,21 @@ private:
             task.indicesCrc = crcOf(0, block.indices.data() + first, pairs * 4);
         }
         if (mHasDistances) task.distancesCrc = crcOf(0, block.distances.data() + first, pairs * 4);
+    }
+
+    // Sorting writes past a row's end; what follows the task's last one is another thread's.
+    void sortInto(std::size_t row, std::uint32_t* out, const std::uint32_t* outEnd,
+                  const std::uint32_t* taskEnd)
+    {
+        const auto count = static_cast<std::size_t>(outEnd - out);
+        Sorting& memory = mSorting.local();
+        if (memory.row.size() < count) memory.row.resize(count);
+        mRows.copyRow(row, memory.row.data());
+        if (static_cast<std::size_t>(taskEnd - outEnd) >= kSortOverrun) {
+            memory.sorter.sort(memory.row.data(), count, out);
+        } else {
+            std::copy_n(memory.sorter.sorted(memory.row.data(), count), count, out);
+        }
     }
 
     void writeBlock(const Block& block)
@@ -185,11 +202,17 @@ private:
         }
     }
 
+    struct Sorting {
+        RowSorter sorter;
+        std::vector<std::uint32_t> row;
+    };
+
     OutputFile& mFile;
     const NpzRows& mRows;
     const CancelCheck& mCancel;
     const bool mHasDistances;
     NpzLayout mLayout;
+    tbb::enumerable_thread_specific<Sorting> mSorting;
     std::vector<std::int8_t> mOnes;
 };
 

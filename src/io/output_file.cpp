@@ -156,20 +156,43 @@ void OutputFile::writeAt(std::uint64_t offset, const void* data, std::size_t byt
     }
 }
 
-void OutputFile::requireRoom(std::uint64_t bytes) const
+void OutputFile::reserve(std::uint64_t bytes)
+{
+    if (bytes <= mReservedBytes) return;
+    ::fallocate(mTemporary->descriptor(), FALLOC_FL_KEEP_SIZE, static_cast<off_t>(mReservedBytes),
+                static_cast<off_t>(bytes - mReservedBytes));
+    mReservedBytes = bytes;
+}
+
+void OutputFile::returnReserve() const
+{
+    struct stat status {};
+    const int descriptor = mTemporary->descriptor();
+    if (::fstat(descriptor, &status) != 0) failOutput(mPath, "cannot be looked at", errno);
+    if (mReservedBytes <= static_cast<std::uint64_t>(status.st_size)) return;
+    if (::ftruncate(descriptor, status.st_size) != 0) failOutput(mPath, "cannot be cut to its size", errno);
+}
+
+std::optional<std::uint64_t> OutputFile::freeBytes() const
 {
     struct statvfs status {};
     // Some file systems do not know their size: the disk is full there when a write says so.
     if (::fstatvfs(mTemporary->descriptor(), &status) != 0 || status.f_blocks == 0 || status.f_frsize == 0)
-        return;
-    const std::uint64_t freeBytes = std::uint64_t(status.f_bavail) * status.f_frsize;
-    if (bytes <= freeBytes) return;
+        return std::nullopt;
+    return std::uint64_t(status.f_bavail) * status.f_frsize;
+}
+
+void OutputFile::requireRoom(std::uint64_t bytes) const
+{
+    const std::optional<std::uint64_t> free = freeBytes();
+    if (!free || bytes <= *free) return;
     throw OutputError(mPath + ": needs " + std::to_string(bytes) + " bytes, and its disk has " +
-                      std::to_string(freeBytes) + " bytes free" + nextStep(ENOSPC));
+                      std::to_string(*free) + " bytes free" + nextStep(ENOSPC));
 }
 
 void OutputFile::commit()
 {
+    returnReserve();
     // Network file systems tell at a close what could not be written. The temporary itself stays open: it is held until it
     // has its name.
     const int copy = ::fcntl(mTemporary->descriptor(), F_DUPFD_CLOEXEC, 0);

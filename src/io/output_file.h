@@ -31,9 +31,18 @@ public:
     // @throws OutputError
     void writeAt(std::uint64_t offset, const void* data, std::size_t bytes);
 
+    // Asks the file system for the blocks of a file of so many bytes; what is not written of them is given back at the end.
+    // Blocks that are there are cheaper to write to, and renaming need not find any: ext4 writes a file to the disk before it
+    // takes the place of another one if blocks are still to be found for it. Advice: where it is refused, writing tells.
+    // By one thread at a time.
+    void reserve(std::uint64_t bytes);
+
     // Throws OutputError unless the disk has room for a file of so many bytes. Before anything is written; others may
     // take that room all the same.
     void requireRoom(std::uint64_t bytes) const;
+
+    // Of the disk, for this user; empty where the file system does not know.
+    std::optional<std::uint64_t> freeBytes() const;
 
     // Renames the temporary to the target. Without it the temporary is removed at the end.
     // @throws OutputError, OutputExists when the target came into being meanwhile and may not be overwritten
@@ -43,6 +52,7 @@ public:
     const std::string& temporaryPath() const { return mTemporary->name(); }
 
 private:
+    void returnReserve() const;
     void replaceTarget();
     void flush(int descriptor, const char* what) const;
 
@@ -50,6 +60,7 @@ private:
     std::string mTarget; // after symbolic links
     OutputOptions mOptions;
     std::optional<TemporaryFile> mTemporary;
+    std::uint64_t mReservedBytes = 0;
 };
 
 // Buffers an OutputFile for writers that want a seekable std::ostream. Errors leave as OutputError through a

@@ -23,6 +23,8 @@ constexpr std::uint64_t kLeastBuffer = 1 * kMiB, kUsualBuffer = 64 * kMiB, kLarg
 constexpr std::uint64_t kVdbWriter = 16 * kMiB, kVdbWriterPerPoint = 8;
 // The tasks of a search, for each leaf; and for each the start of its mask rows, once more while they are ordered.
 constexpr std::uint64_t kTaskBytes = 16, kMaskTaskBytes = 32;
+// Of searchToNpz(): the tasks of a search in another order too, and their groups; a run of rows for each thread.
+constexpr std::uint64_t kOrderedTaskBytes = 64, kStagingBytes = 8 * kMiB;
 // The way to the mask rows of each cell.
 constexpr std::uint64_t kMaskCellBytes = 16;
 // From a particle's number to its row; the row's count; its place in a file that rows go straight to.
@@ -88,6 +90,13 @@ std::uint64_t HostBudget::listBytes(const SparseGrid& grid, Encoding encoding) c
                             needed, mFreeBytes);
     }
     return std::max<std::uint64_t>(1, difference(mFreeBytes, beside)); // 0 would be no bound
+}
+
+std::uint64_t HostBudget::windowBytes(const SparseGrid& grid) const
+{
+    const std::uint64_t points = grid.view().size();
+    return difference(mFreeBytes, grid.bytes() + (kNumberBytes + 2 * kCountBytes) * points +
+                                      kOrderedTaskBytes * grid.leafCount() + mThreads * kStagingBytes);
 }
 
 std::uint64_t HostBudget::bufferBytes(const SparseGrid& grid) const

@@ -30,6 +30,9 @@ public:
     // search itself finds that out.
     std::uint64_t listBytes(const SparseGrid& grid, Encoding encoding) const;
 
+    // What rows may take that wait for others to be written (searchToNpz()); 0 where the counts do not fit.
+    std::uint64_t windowBytes(const SparseGrid& grid) const;
+
     // What the threads of streamNpz() may collect together.
     std::uint64_t bufferBytes(const SparseGrid& grid) const;
 

@@ -2,6 +2,7 @@
 // that one. On devices each try is planned anew.
 #include "vdb_nns/search_job.h"
 
+#include "io/npz_search.h"
 #include "job/host_budget.h"
 #include "search/engine_state.h"
 #include "util/sole_owner.h"
@@ -89,10 +90,10 @@ public:
             SparseGrid grid = makeGrid(view, radius);
             const double start = wallSeconds(), gridSeconds = mReport.gridSeconds;
             mBudget.beginLists(grid, reusableBytes());
-            const NeighborLists lists = search(std::move(grid));
+            const NeighborLists lists = searchAndWrite(std::move(grid));
             const double otherSeconds = mPlanningSeconds + mReport.gridSeconds - gridSeconds;
-            mReport.searchSeconds = wallSeconds() - start - otherSeconds;
-            mReport.streamed = isStreamed(mReport.settled);
+            mReport.searchSeconds = wallSeconds() - start - otherSeconds - mReport.writeSeconds;
+            mReport.streamed = mReport.written || isStreamed(mReport.settled);
             mReport.streamBufferBytes = mBudget.bufferBytes(lists.grid());
             return lists;
         });
@@ -121,6 +122,25 @@ private:
         if (mBudget.isBounded()) returnFreedMemory();
         mReport.gridSeconds += wallSeconds() - start;
         return grid;
+    }
+
+    // Counts of rows that went to the file at once, or lists.
+    NeighborLists searchAndWrite(SparseGrid grid)
+    {
+        const JobOptions& options = mReport.settled;
+        const bool isWanted = options.npz && options.search.encoding == Encoding::kIndex;
+        if (isWanted && options.device.devices.empty()) {
+            const NpzTarget& target = *options.npz;
+            const NpzSearchOptions npz{target.path, target.values, target.output, target.checksum,
+                                       mBudget.windowBytes(grid)};
+            if (std::optional<NpzSearchResult> result = searchToNpz(mState, grid, options.search, npz)) {
+                mReport.written = true;
+                mReport.writeSeconds = result->writeSeconds;
+                if (target.checksum) mReport.checksum = result->checksum;
+                return result->lists;
+            }
+        }
+        return search(std::move(grid));
     }
 
     // Lists in the first encoding that fits.

@@ -4,6 +4,7 @@
 #include "grid/sparse_grid_data.h"
 #include "lists/cell_candidates.h"
 #include "lists/neighbor_lists_data.h"
+#include "lists/row_checksum.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
 #include "vdb_nns/error.h"
@@ -197,13 +198,6 @@ void visitAllRows(const NeighborListsData& lists, const CancelCheck& cancel,
     });
 }
 
-std::uint64_t mix64(std::uint64_t x)
-{
-    x = (x ^ x >> 30) * 0xBF58476D1CE4E5B9u;
-    x = (x ^ x >> 27) * 0x94D049BB133111EBu;
-    return x ^ x >> 31;
-}
-
 } // namespace
 
 NeighborLists::NeighborLists() : mData(std::make_shared<NeighborListsData>()) {}
@@ -315,9 +309,7 @@ std::uint64_t NeighborLists::checksum(Progress* progress) const
     std::atomic<std::uint64_t> sum{0};
     visitAllRows(*mData, CancelCheck(progress, "lists"),
                  [&](std::uint32_t query, Span<const std::uint32_t> neighbors) {
-                     std::uint64_t row = 0;
-                     for (const std::uint32_t j : neighbors) row += mix64(std::uint64_t(query) << 32 | j);
-                     sum.fetch_add(row, std::memory_order_relaxed);
+                     sum.fetch_add(rowChecksum(query, neighbors), std::memory_order_relaxed);
                  });
     return sum;
 }

@@ -41,10 +41,27 @@ class Bound(CliCase):
             self.assertEqual(sorted(name for name in os.listdir(self.folder) if "tmp" in name), [])
             return report
 
+    def test_rows_go_to_the_file_as_they_are_found(self):
+        # 31 M pairs: 124 MB as indices. Particles are numbered along space, and nobody reads their lists but the file.
+        path = self.scene("block", 300000)
+        held = self.search(path, "-r", "0.3", "--encoding", "index")
+        free = self.search(path, "-r", "0.3", "-f")
+        pair_bytes = 4 * free["result"]["pairs"]
+        self.assertGreater(held["memory"]["peak_rss_bytes"], 45 * MB + pair_bytes)
+        self.assertLess(free["memory"]["peak_rss_bytes"], held["memory"]["peak_rss_bytes"] - pair_bytes / 2)
+        self.assertEqual(free["result"], held["result"])
+        self.assertTrue(free["plan"]["straight_to_file"])
+        self.assertFalse(held["plan"]["straight_to_file"])
+        for threads in ("1", "2"):
+            for megabytes in (300, 200, 110):
+                report = self.bounded(megabytes, "index", 9 * 300000, "-T", threads)
+                self.assertEqual(report["result"], free["result"])
+                self.assertEqual(report["plan"]["candidate_tests"], free["plan"]["candidate_tests"])
+
     def test_index_then_straight_to_the_file(self):
         # 31 M pairs: 124 MB as indices, about 25 as masks. The program alone is some 45 MB.
         path = self.scene("block", 300000)
-        free = self.search(path, "-r", "0.3")
+        free = self.search(path, "-r", "0.3", "--repeat", "2")
         pair_bytes = 4 * free["result"]["pairs"]
         self.assertGreater(free["memory"]["peak_rss_bytes"], 45 * MB + pair_bytes)
         for threads in ("1", "2"):
@@ -53,7 +70,6 @@ class Bound(CliCase):
                 report = self.bounded(megabytes, encoding, most, "-T", threads)
                 self.assertEqual(report["result"], free["result"])
                 self.assertEqual(report["plan"]["candidate_tests"], free["plan"]["candidate_tests"])
-        self.bounded(110, "index", 9 * 300000, "--repeat", "2")
         self.bounded(200, "index", 9 * 300000, "--encoding", "index")
         self.fails(4, "search", *self.args, "-o", self.path("x.npz"), "--encoding", "mask", "-T", "2", "--host-memory",
                    "120MB", says=["mask lists need", "bytes", "the host memory allowed, which is 120000000"])
@@ -75,7 +91,11 @@ class Bound(CliCase):
 
     def test_it_says_what_it_does(self):
         path = self.scene("block", 300000)
-        flags = ("search", path, "-r", "0.3", "-o", self.out, "-f", "--host-memory", "110MB", "-T", "2")
+        flags = ("search", path, "-r", "0.3", "-o", self.out, "-f", "-T", "2", "--host-memory")
+        done = self.succeeds(*flags, "200MB")
+        self.assertEqual(done.err, "") # there are no lists that could fail to fit
+        self.assertIn("straight to the file", done.out)
+        flags += ("110MB",) # too little even for the rows that wait for others
         done = self.succeeds(*flags)
         self.assertRegex(done.err, "index lists need [0-9]+ bytes .* straight to the file")
         self.assertIn("straight to the file", done.out)
@@ -199,7 +219,7 @@ class InAControlGroup(CliCase):
                 done = cli_case.run("search", path, "-r", "0.2", "-o", out, "-f", "-T", "2", preexec_fn=enter)
                 self.assertIn(done.code, expected, done.err)
                 if done.code == 0:
-                    self.assertRegex(done.err, "allowed are .* straight to the file instead")
+                    self.assertIn("straight to the file", done.out)
                     self.assertTrue(filecmp.cmp(free, out, shallow=False))
 
 

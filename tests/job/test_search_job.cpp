@@ -135,6 +135,66 @@ TEST(SearchJob, TakesMasksWhereIndexListsDoNotFit)
     tbb::task_arena(2).execute(checkMasks);
 }
 
+std::vector<char> bytesOf(const std::string& path)
+{
+    std::FILE* const file = std::fopen(path.c_str(), "rb");
+    std::vector<char> bytes;
+    char buffer[65536];
+    for (std::size_t n; file && (n = std::fread(buffer, 1, sizeof buffer, file)) > 0;) {
+        bytes.insert(bytes.end(), buffer, buffer + n);
+    }
+    if (file) std::fclose(file);
+    return bytes;
+}
+
+// The file is written while its rows are found where nothing speaks against it, and the same file by its caller elsewhere.
+void checkWriting()
+{
+    const Scene scene = sceneOf("block", 100000);
+    const ParticleView view = viewOf(scene);
+    const std::string folder = ::testing::TempDir(), held = folder + "job_lists.npz",
+                      written = folder + "job_written.npz";
+    const NeighborLists truth = findNeighbors(view, scene.suggestedRadius);
+    for (const ListValues values : {ListValues::kConnectivity, ListValues::kDistance}) {
+        writeNpz(held, truth, values, {true});
+        for (const auto& [device, encoding] : {std::pair<const char*, Encoding>("cpu", Encoding::kIndex),
+                                               {"cpu", Encoding::kMask},
+                                               {"sim", Encoding::kIndex}}) {
+            const bool isWritten = device == std::string("cpu") && encoding == Encoding::kIndex;
+            SCOPED_TRACE(std::string(device) + (encoding == Encoding::kMask ? ", mask" : ", index"));
+            JobOptions options = jobOn(device);
+            options.search.encoding = encoding;
+            options.npz = NpzTarget{written, values, {true}, true};
+            std::remove(written.c_str());
+            JobReport report;
+            SearchEngine engine;
+            const NeighborLists lists = engine.findNeighbors(view, scene.suggestedRadius, options, report);
+            EXPECT_EQ(report.written, isWritten);
+            EXPECT_EQ(report.streamed, isWritten);
+            EXPECT_EQ(report.checksum.has_value(), isWritten);
+            EXPECT_EQ(lists.encoding(), isWritten ? Encoding::kNone : encoding);
+            EXPECT_EQ(lists.counts(), truth.counts());
+            EXPECT_EQ(report.checksum.value_or(truth.checksum()), truth.checksum());
+            if (!isWritten) writeJobNpz(written, engine, lists, report, values, {true});
+            EXPECT_TRUE(bytesOf(written) == bytesOf(held));
+            // The same options again, and another file of the same lists.
+            if (!isWritten) continue;
+            engine.findNeighbors(view, scene.suggestedRadius, report.settled, report);
+            EXPECT_TRUE(report.written);
+            EXPECT_TRUE(bytesOf(written) == bytesOf(held));
+            writeJobNpz(written, engine, lists, report, values, {true});
+            EXPECT_TRUE(bytesOf(written) == bytesOf(held));
+        }
+    }
+    std::remove(held.c_str());
+    std::remove(written.c_str());
+}
+
+TEST(SearchJob, WritesAFileWhileItsRowsAreFound)
+{
+    tbb::task_arena(2).execute(checkWriting);
+}
+
 void checkStreaming()
 {
     const Scene scene = sceneOf("block", 400000);
@@ -157,16 +217,6 @@ void checkStreaming()
     EXPECT_TRUE(report.streamed);
     ASSERT_FALSE(report.notes.empty());
     writeJobNpz(streamed, engine, counts, report, ListValues::kConnectivity, {true});
-    const auto bytesOf = [](const std::string& path) {
-        std::FILE* const file = std::fopen(path.c_str(), "rb");
-        std::vector<char> bytes;
-        char buffer[65536];
-        for (std::size_t n; (n = std::fread(buffer, 1, sizeof buffer, file)) > 0;) {
-            bytes.insert(bytes.end(), buffer, buffer + n);
-        }
-        std::fclose(file);
-        return bytes;
-    };
     EXPECT_TRUE(bytesOf(held) == bytesOf(streamed));
     // The next one streams too, at once, and by now the process has more than before.
     report.settled.search.hostMemoryBytes = residentAnd(std::uint64_t(20) << 20);

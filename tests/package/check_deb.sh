@@ -22,7 +22,7 @@ deb=${debs[0]}
 echo "$(basename "$deb"): $(($(stat -c %s "$deb") / 1000)) kB"
 
 dpkg-deb --field "$deb"
-for package in libopenvdb-dev libblosc-dev libtbb-dev zlib1g-dev libboost-dev 'libopenvdb[0-9.]+(t64)?' 'libtbb[0-9]+(t64)?' 'libstdc\+\+6' libc6; do
+for package in libopenvdb-dev libblosc-dev libtbb-dev zlib1g-dev libdeflate-dev libboost-dev 'libopenvdb[0-9.]+(t64)?' 'libtbb[0-9]+(t64)?' 'libstdc\+\+6' libc6; do
     dpkg-deb --field "$deb" Depends | grep -qE "(^|, )$package( |,|$)" || fail "it does not depend on $package"
 done
 

@@ -5,6 +5,7 @@
 #include "vdb_nns/planning/executor.h"
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/scene.h"
+#include "vdb_nns/search_job.h"
 #include "verify/lists_reader.h"
 
 #include <gtest/gtest.h>
@@ -272,6 +273,15 @@ TEST_F(CancelWithFiles, StopsWhatIsMadeOfLists)
         });
         expectStops("csr", 0.01, [&](Progress* progress) { lists.toCsr(progress); });
         expectStops("checksum", 0.002, [&](Progress* progress) { lists.checksum(progress); });
+    }
+    for (const ListValues values : {ListValues::kConnectivity, ListValues::kDistance}) {
+        expectStops("npz while searching", 0.01, [&](Progress* progress) {
+            JobOptions options;
+            options.search = optionsOf(Encoding::kIndex, progress);
+            options.npz = NpzTarget{output, values, {true}};
+            JobReport report;
+            engine.findNeighbors(ParticleView::fromArray(xyz.data(), kParticles), 1, options, report);
+        });
     }
     EXPECT_TRUE(fs::is_empty(mFolder));
 }

@@ -2,6 +2,7 @@
 #include "plan/workload_cases.h"
 #include "vdb_nns/planning/executor.h"
 #include "vdb_nns/point_file.h"
+#include "vdb_nns/search_job.h"
 
 #include <gtest/gtest.h>
 
@@ -191,6 +192,16 @@ TEST_F(ThrowingProgressFiles, LeavesWritersWithoutAFile)
         options.progress = progress;
         streamNpz(out, engine, lists, ListValues::kConnectivity, {}, 0, options);
     });
+    for (const ListValues values : {ListValues::kConnectivity, ListValues::kDistance}) {
+        expectNoFile("npz while searching", [&](Progress* progress) {
+            JobOptions options;
+            options.search.progress = progress;
+            options.npz = NpzTarget{out, values, {}};
+            JobReport report;
+            engine.findNeighbors(file.view(), mMade.suggestedRadius, options, report);
+            EXPECT_TRUE(report.written);
+        });
+    }
 }
 
 } // namespace

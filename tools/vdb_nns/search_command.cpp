@@ -55,10 +55,12 @@ void addFlags(CLI::App& app, SearchFlags& flags)
     addInputFlags(app, flags.input, true);
     addDeviceFlags(app, flags.device);
     addEngineFlags(app, flags.engine);
-    app.add_option(
-           "--encoding", flags.encoding,
-           "how lists are held: index, mask or none; default: what the outputs need, or mask if index "
-           "lists do not fit. If neither fits, the rows of an .npz go straight to the file")
+    app.add_option("--encoding", flags.encoding,
+                   "how lists are held: index, mask or none; default: what the outputs need, or mask if "
+                   "index lists do "
+                   "not fit. Rows that only one .npz wants go straight to the file if particles are numbered "
+                   "along space, "
+                   "or if neither fits")
         ->type_name("NAME")
         ->check(CLI::IsMember({"index", "mask", "none"}));
     app.add_option("--lists", flags.lists, "values of an .npz: connectivity (ones) or distance")
@@ -130,6 +132,25 @@ Encoding chooseEncoding(const SearchFlags& flags, const SearchPlan& plan)
     return flags.checksum ? Encoding::kMask : Encoding::kNone;
 }
 
+ListValues listValues(const SearchFlags& flags)
+{
+    return flags.lists == "distance" ? ListValues::kDistance : ListValues::kConnectivity;
+}
+
+// The file that is written while its rows are found: where nobody else wants the lists, and no search is repeated to be timed.
+std::optional<NpzTarget> targetOf(const SearchFlags& flags, const SearchPlan& plan)
+{
+    const auto isNpz = [](const std::string& path) { return extensionOf(path) == ".npz"; };
+    const auto count = std::count_if(flags.outputs.begin(), flags.outputs.end(), isNpz);
+    if (count != 1 || plan.repeat > 1 || !flags.encoding.empty()) return std::nullopt;
+    NpzTarget target;
+    target.path = *std::find_if(flags.outputs.begin(), flags.outputs.end(), isNpz);
+    target.values = listValues(flags);
+    target.output = outputOptions(flags.common);
+    target.checksum = flags.checksum || !flags.common.json.empty();
+    return target;
+}
+
 // Everything that can be wrong without reading a byte.
 SearchPlan checkFlags(const SearchFlags& flags)
 {
@@ -144,6 +165,7 @@ SearchPlan checkFlags(const SearchFlags& flags)
     plan.job.search.encoding = chooseEncoding(flags, plan);
     plan.job.mayUseMasks = flags.encoding.empty();
     plan.job.mayStream = plan.job.written.npz && flags.encoding != "mask";
+    plan.job.npz = targetOf(flags, plan);
     checkOutputs(flags.outputs, {flags.input.path}, flags.common);
     return plan;
 }
@@ -224,7 +246,8 @@ void makeChecksum(SearchEngine& engine, const SearchFlags& flags, const JobRepor
                   const NeighborLists& lists, SearchReport& report)
 {
     const bool stored = lists.encoding() != Encoding::kNone, wanted = stored || job.streamed;
-    if (!flags.checksum && (flags.common.json.empty() || !wanted)) return;
+    report.checksum = job.checksum;
+    if (job.checksum || (!flags.checksum && (flags.common.json.empty() || !wanted))) return;
     const Stopwatch watch;
     const SearchOptions& search = job.settled.search;
     report.checksum = stored ? lists.checksum(search.progress) : visitChecksum(engine, lists.grid(), search);
@@ -241,9 +264,8 @@ void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const JobRepor
         const double from = 0.8 + share * static_cast<double>(report.written.size());
         progress.begin("write", from, from + share);
         if (extensionOf(path) == ".npz") {
-            const ListValues values =
-                flags.lists == "distance" ? ListValues::kDistance : ListValues::kConnectivity;
-            writeJobNpz(path, engine, lists, job, values, outputOptions(flags.common));
+            if (!job.written)
+                writeJobNpz(path, engine, lists, job, listValues(flags), outputOptions(flags.common));
         } else {
             const std::vector<std::uint32_t> counts = lists.counts();
             file.writeVdb(path, {counts.data(), counts.size()}, flags.prefix, outputOptions(flags.common),
@@ -251,17 +273,17 @@ void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const JobRepor
         }
         report.written.push_back(path);
     }
-    report.seconds.write = watch.seconds();
+    report.seconds.write = job.writeSeconds + watch.seconds();
 }
 
-void fillReport(const SearchEngine& engine, const JobReport& job, const NeighborLists& lists,
-                SearchReport& report)
+void fillReport(const SearchEngine& engine, const SearchFlags& flags, const JobReport& job,
+                const NeighborLists& lists, SearchReport& report)
 {
     fillGridReport(lists.grid(), job.settled.search, report);
     report.listBytes = lists.bytes();
     report.encoding = job.streamed ? Encoding::kIndex : lists.encoding();
     report.straightToFile = job.streamed;
-    report.candidateTests = countCandidateTests(lists.grid());
+    if (!flags.common.json.empty()) report.candidateTests = countCandidateTests(lists.grid());
     report.doublePairs = engine.statistics().doublePairs;
     report.exactPairs = engine.statistics().exactPairs;
     report.simd = simdLevelName(engine.statistics().simd);
@@ -284,7 +306,7 @@ int searchFile(const SearchFlags& flags, const SearchPlan& plan, int threads, Se
     SearchEngine engine;
     JobReport job;
     const NeighborLists lists = runJobs(engine, file.view(), flags, plan, progress, report, job);
-    fillReport(engine, job, lists, report);
+    fillReport(engine, flags, job, lists, report);
     makeChecksum(engine, flags, job, lists, report);
     writeOutputs(engine, flags, job, file, lists, progress, report);
     throwIfStopped();

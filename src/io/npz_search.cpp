@@ -1,0 +1,73 @@
+#include "io/npz_search.h"
+
+#include "io/npz_in_order.h"
+#include "io/npz_parts.h"
+#include "io/output_file.h"
+#include "search/ordered_rows.h"
+#include "util/isolate.h"
+#include "util/known_value.h"
+#include "util/wall_clock.h"
+
+namespace vdb_nns {
+
+namespace {
+
+// How far the pairs of a sample of queries may be from the truth, as a factor, before anything but time is lost.
+constexpr double kDoubt = 2;
+
+// Whether the number of pairs must be known before the first row is written: for the place of distances, or because it is in
+// doubt whether the indices take 4 GiB, or whether the disk has the room.
+bool mustCount(const OutputFile& file, std::uint64_t rows, double expectedPairs, ListValues values)
+{
+    if (values == ListValues::kDistance) return true;
+    const NpzLayout small = layoutNpz(rows, static_cast<std::uint64_t>(expectedPairs / kDoubt), values),
+                    large = layoutNpz(rows, static_cast<std::uint64_t>(expectedPairs * kDoubt), values);
+    const std::optional<std::uint64_t> freeBytes = file.freeBytes();
+    return small.members[NpzLayout::kIndices].valueOffset != large.members[NpzLayout::kIndices].valueOffset ||
+           (freeBytes && large.directoryOffset > *freeBytes);
+}
+
+} // namespace
+
+std::optional<NpzSearchResult> searchToNpz(EngineState& engine, const SparseGrid& grid,
+                                           const SearchOptions& search, const NpzSearchOptions& options)
+{
+    requireKnown(options.values, ListValues::kDistance, "kind of values");
+    return isolated([&]() -> std::optional<NpzSearchResult> {
+        OrderedSearch rows(engine, grid, search);
+        const double rowBytes = rows.expectedNeighbors() * sizeof(std::uint32_t);
+        if (kDoubt * rowBytes * static_cast<double>(rows.windowRows()) >
+            static_cast<double>(options.windowBytes))
+            return std::nullopt;
+        if (options.checksum) rows.makeChecksum();
+        const std::uint64_t rowCount = grid.view().size();
+        const CancelCheck cancel(search.progress, "search");
+        OutputFile file(options.path, options.output);
+        const double expected = rows.expectedNeighbors() * static_cast<double>(rowCount);
+        auto pairs = static_cast<std::uint64_t>(expected);
+        if (mustCount(file, rowCount, expected, options.values)) {
+            pairs = rows.countPairs();
+            beginFile(file, layoutNpz(rowCount, pairs, options.values));
+        }
+        const ParticleView* const distancesOf =
+            options.values == ListValues::kDistance ? &grid.view() : nullptr;
+        for (;;) {
+            NpzInOrder npz(file, rowCount, pairs, distancesOf, cancel);
+            NpzSearchResult result;
+            try {
+                result.lists = rows.run(options.windowBytes, npz);
+            } catch (const WindowExceeded&) {
+                return std::nullopt;
+            }
+            const double found = wallSeconds();
+            pairs = result.lists.pairCount();
+            if (!npz.finish(pairs)) continue;
+            file.commit();
+            result.checksum = rows.checksum();
+            result.writeSeconds = wallSeconds() - found;
+            return result;
+        }
+    });
+}
+
+} // namespace vdb_nns

@@ -1,0 +1,412 @@
+#include "search/ordered_rows.h"
+
+#include "cpu/leaves_in_reach-inl.h"
+#include "lists/row_checksum.h"
+#include "search/count_queries.h"
+#include "search/row_window.h"
+#include "util/wall_clock.h"
+
+#include <tbb/blocked_range.h>
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/parallel_for.h>
+#include <tbb/parallel_sort.h>
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <chrono>
+#include <condition_variable>
+#include <mutex>
+
+namespace vdb_nns {
+
+namespace {
+
+// Queries that are searched at once: enough to make the lock around the order of tasks cheap.
+constexpr std::uint32_t kBatchQueries = 1024;
+// A run ends with these pairs, 1 MiB of numbers, which a second-level cache holds; or with so many rows.
+constexpr std::uint64_t kRunPairs = std::uint64_t(1) << 18;
+constexpr std::size_t kRunRows = std::size_t(1) << 17;
+// Beyond what the window needs by itself: what threads may make while one is late.
+constexpr std::uint64_t kAheadBytes = std::uint64_t(24) << 20;
+
+// Of each thread's batch.
+constexpr std::uint64_t kThreadBytes = std::uint64_t(2) << 20;
+// Queries whose neighbors are counted to expect those of all.
+constexpr std::size_t kSampledQueries = 256;
+
+} // namespace
+
+// Tasks in the order of their lowest numbers.
+struct OrderedSearch::TaskOrder {
+    struct Batch {
+        std::uint32_t lowest; // number in it and all later ones
+        std::size_t firstPiece, endPiece;
+        std::uint32_t queries;
+    };
+
+    std::vector<Piece> pieces;
+    std::vector<Batch> batches;
+    std::uint64_t windowRows = 0;
+
+    TaskOrder(const SparseGridData& grid, const std::vector<Piece>& unordered);
+};
+
+OrderedSearch::TaskOrder::TaskOrder(const SparseGridData& grid, const std::vector<Piece>& unordered)
+{
+    struct Numbered {
+        std::uint32_t lowest, piece;
+    };
+    std::vector<Numbered> order(unordered.size());
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, unordered.size(), 16), [&](const auto& range) {
+        for (std::size_t p = range.begin(); p < range.end(); ++p) {
+            const std::uint32_t* const numbers = grid.number.data();
+            order[p] = {*std::min_element(numbers + unordered[p].firstSlot, numbers + unordered[p].endSlot),
+                        static_cast<std::uint32_t>(p)};
+        }
+    });
+    tbb::parallel_sort(order.begin(), order.end(),
+                       [](const Numbered& a, const Numbered& b) { return a.lowest < b.lowest; });
+    pieces.reserve(unordered.size());
+    std::uint64_t queries = 0;
+    for (const Numbered& next : order) {
+        windowRows = std::max(windowRows, queries - std::min<std::uint64_t>(queries, next.lowest));
+        const Piece& piece = unordered[next.piece];
+        if (batches.empty() || batches.back().queries >= kBatchQueries)
+            batches.push_back({next.lowest, pieces.size(), pieces.size(), 0});
+        pieces.push_back(piece);
+        batches.back().endPiece = pieces.size();
+        batches.back().queries += piece.endSlot - piece.firstSlot;
+        queries += piece.endSlot - piece.firstSlot;
+    }
+}
+
+namespace {
+
+// Where one thread makes rows.
+class RowMaker {
+public:
+    explicit RowMaker(RowWindow& window) : mWindow(window), mSink{}
+    {
+        mSink.owner = this;
+        mSink.grow = grow;
+    }
+    RowMaker(const RowMaker&) = delete;
+    RowMaker& operator=(const RowMaker&) = delete;
+
+    // `places`, `counts`: by slot.
+    void make(const SearchRun& run, const SearchTask& task, ThreadState& state, std::uint32_t* places,
+              std::uint32_t* counts)
+    {
+        mPlaces = places;
+        mRowBegin.resize(task.endSlot - task.firstSlot);
+        mSink.slotBase = mSink.nextSlot = mNoted = task.firstSlot;
+        mSink.rowBegin = mRowBegin.data();
+        mSink.rowCount = counts + task.firstSlot;
+        state.decideBy(run.exact, run.cancel);
+        run.kernels.visit(run.context, task, state.exactPredicate(), state.halo, mSink, state.statistics);
+        noteRows();
+    }
+
+    std::uint64_t checksum = 0;
+
+private:
+    // The places of rows that were made since the last call.
+    void noteRows()
+    {
+        std::uint32_t rows = 0;
+        for (; mNoted < mSink.nextSlot; ++mNoted) {
+            const std::uint32_t row = mNoted - mSink.slotBase;
+            if (mSink.rowCount[row] == 0) continue;
+            mPlaces[mNoted] = mWindow.placeOf(mChunk, mRowBegin[row]);
+            ++rows;
+        }
+        if (rows > 0) mWindow.addRows(mChunk, rows);
+    }
+
+    static void grow(RowSink& sink, std::size_t entries)
+    {
+        auto& self = *static_cast<RowMaker*>(sink.owner);
+        self.noteRows();
+        if (sink.out) self.mWindow.release(self.mChunk);
+        sink.out = sink.end = nullptr;
+        self.mChunk = self.mWindow.take(entries);
+        sink.out = self.mWindow.begin(self.mChunk);
+        sink.end = self.mWindow.end(self.mChunk);
+    }
+
+    RowWindow& mWindow;
+    RowSink mSink;
+    std::uint32_t mChunk = 0; // where `out` is
+    std::uint32_t mNoted = 0; // slots before it have their places
+    std::vector<std::uint32_t*> mRowBegin;
+    std::uint32_t* mPlaces = nullptr;
+};
+
+} // namespace
+
+class OrderedSearch::Rows {
+public:
+    Rows(OrderedSearch& search, std::uint64_t windowBytes, NeighborListsData& result,
+         RowRunConsumer& consumer)
+        : mEngine(search.mEngine),
+          mRun(search.mRun),
+          mOrder(*search.mOrder),
+          mResult(result),
+          mConsumer(consumer),
+          mWantsChecksum(search.mWantsChecksum),
+          mAll(static_cast<std::uint32_t>(result.view.size())),
+          mWindow(windowBytes, idleMemory(search.mEngine.scratch)),
+          mMakers([this] { return std::make_unique<RowMaker>(mWindow); }),
+          mDone(mOrder.batches.size(), 0),
+          mMostBytes(search.mostBytesBegun(windowBytes))
+    {
+        const std::size_t particles = mRun.queries.particleCount();
+        mPlaces = mEngine.scratch.leafOf.data(); // idle too
+        if (mEngine.scratch.leafOf.size() < particles) {
+            mOwnPlaces.resizeDiscarding(particles);
+            mPlaces = mOwnPlaces.data();
+        }
+        result.rowCount.resizeDiscarding(particles);
+        result.slotOf.resizeDiscarding(mAll);
+        if (particles < mAll) std::fill(result.slotOf.begin(), result.slotOf.end(), kNoSlot);
+    }
+
+    // Returns the checksum.
+    std::uint64_t run()
+    {
+        tbb::parallel_for(
+            0, tbb::this_task_arena::max_concurrency(), [this](int) { work(); }, tbb::simple_partitioner());
+        std::uint64_t checksum = 0;
+        for (const std::unique_ptr<RowMaker>& maker : mMakers) checksum += maker->checksum;
+        return checksum;
+    }
+
+private:
+    // The sort of the grid is done, and its memory was touched.
+    static Span<std::uint32_t> idleMemory(const GridScratch& scratch)
+    {
+        return {reinterpret_cast<std::uint32_t*>(scratch.records.data()),
+                scratch.records.usedBytes() / sizeof(std::uint32_t)};
+    }
+
+    // A run, and where its rows are found.
+    struct Claim {
+        std::size_t index;
+        std::uint32_t firstRow, endRow;
+        std::uint64_t firstPair, pairs;
+    };
+
+    // Makes batches and takes runs until there are no more. Whoever calls it alone does all of it.
+    void work()
+    {
+        try {
+            RowMaker& maker = *mMakers.local();
+            std::unique_lock<std::mutex> lock(mMutex);
+            for (Claim claim; !mFailed;) {
+                if (claimRun(claim)) {
+                    lock.unlock();
+                    takeRun(claim, maker);
+                    lock.lock();
+                    mChanged.notify_all(); // there is room
+                } else if (mayBegin()) {
+                    const std::size_t batch = mBegun++;
+                    ++mUnderWay;
+                    lock.unlock();
+                    makeBatch(mOrder.batches[batch], maker);
+                    lock.lock();
+                    --mUnderWay;
+                    mDone[batch] = 1;
+                    while (mFirstUndone < mDone.size() && mDone[mFirstUndone]) ++mFirstUndone;
+                    mChanged.notify_all();
+                } else if (mUnderWay == 0) {
+                    return;
+                } else {
+                    mChanged.wait_for(lock, std::chrono::milliseconds(10));
+                    mRun.cancel.check();
+                }
+            }
+        } catch (...) {
+            {
+                const std::lock_guard<std::mutex> lock(mMutex);
+                mFailed = true;
+            }
+            mChanged.notify_all();
+            throw;
+        }
+    }
+
+    // Somebody always goes on: a window that is full waits for those batches alone that are under way.
+    bool mayBegin() const
+    {
+        if (mBegun == mOrder.batches.size()) return false;
+        return mUnderWay == 0 || mWindow.heldBytes() <= mMostBytes;
+    }
+
+    // Numbers below it have all their rows.
+    std::uint32_t frontier() const
+    {
+        return mFirstUndone < mDone.size() ? mOrder.batches[mFirstUndone].lowest : mAll;
+    }
+
+    // The next run, if all of it is there.
+    bool claimRun(Claim& claim)
+    {
+        const std::uint32_t end = frontier();
+        bool isWhole = false;
+        while (mScanned < end && !isWhole) {
+            const std::uint32_t slot = mResult.slotOf[mScanned++];
+            if (slot != kNoSlot) mScannedPairs += mResult.rowCount[slot];
+            isWhole = mScannedPairs >= kRunPairs || mScanned - mClaimed == kRunRows;
+        }
+        if (!isWhole && (mScanned < mAll || mClaimed == mAll)) return false;
+        claim = {mRuns++, mClaimed, mScanned, mClaimedPairs, mScannedPairs};
+        mClaimed = mScanned;
+        mClaimedPairs += mScannedPairs;
+        mScannedPairs = 0;
+        return true;
+    }
+
+    void makeBatch(const TaskOrder::Batch& batch, RowMaker& maker)
+    {
+        ThreadState& state = mEngine.states.local();
+        const SparseGridData& grid = mRun.queries;
+        const std::size_t count = batch.endPiece - batch.firstPiece;
+        const Piece* const pieces = mOrder.pieces.data() + batch.firstPiece;
+        std::vector<Vec3i> origins(count);
+        std::vector<std::uint32_t> wanted(count);
+        for (std::size_t k = 0; k < count; ++k) {
+            origins[k] = grid.leafOrigins[pieces[k].leaf];
+            wanted[k] = leavesInReach(grid.leaves[pieces[k].leaf].occupancy, grid.reach());
+        }
+        state.neighborhoods.resize(count);
+        grid.topology.neighborhoods({origins.data(), count}, wanted.data(), state.neighborhoods.data());
+        for (std::size_t k = 0; k < count; ++k) {
+            mRun.cancel.check();
+            const Piece& piece = pieces[k];
+            maker.make(mRun, {piece.leaf, piece.firstSlot, piece.endSlot, state.neighborhoods[k].leaf}, state,
+                       mPlaces, mResult.rowCount.data());
+            for (std::uint32_t slot = piece.firstSlot; slot < piece.endSlot; ++slot)
+                mResult.slotOf[grid.number[slot]] = slot;
+        }
+    }
+
+    void takeRun(const Claim& claim, RowMaker& maker)
+    {
+        const std::size_t rowCount = claim.endRow - claim.firstRow;
+        std::vector<std::uint32_t> counts(rowCount);
+        std::vector<const std::uint32_t*> rows(rowCount);
+        struct Held {
+            std::uint32_t chunk, rows;
+        };
+        std::vector<Held> held;
+        for (std::size_t k = 0; k < rowCount; ++k) {
+            const std::uint32_t slot = mResult.slotOf[claim.firstRow + k];
+            counts[k] = slot == kNoSlot ? 0 : mResult.rowCount[slot];
+            if (counts[k] == 0) continue;
+            const std::uint32_t place = mPlaces[slot], chunk = mWindow.firstOf(place);
+            rows[k] = mWindow.rowAt(place);
+            if (held.empty() || held.back().chunk != chunk) held.push_back({chunk, 0});
+            ++held.back().rows;
+        }
+        if (mWantsChecksum) {
+            for (std::size_t k = 0; k < rowCount; ++k)
+                maker.checksum += rowChecksum(claim.firstRow + k, {rows[k], counts[k]});
+        }
+        mConsumer.take({claim.index, claim.firstRow, rowCount, claim.firstPair, claim.pairs, counts.data(),
+                        rows.data()});
+        for (const Held& h : held) mWindow.release(h.chunk, h.rows);
+        mRun.cancel.update(static_cast<double>(claim.endRow) / static_cast<double>(mAll));
+    }
+
+    EngineState& mEngine;
+    const SearchRun& mRun;
+    const TaskOrder& mOrder;
+    NeighborListsData& mResult;
+    RowRunConsumer& mConsumer;
+    const bool mWantsChecksum;
+    const std::uint32_t mAll; // rows
+    RowWindow mWindow;
+    std::uint32_t* mPlaces = nullptr; // by slot
+    PageArray<std::uint32_t> mOwnPlaces;
+    tbb::enumerable_thread_specific<std::unique_ptr<RowMaker>> mMakers;
+
+    std::mutex mMutex;
+    std::condition_variable mChanged;
+    bool mFailed = false;
+    std::size_t mBegun = 0, mUnderWay = 0, mFirstUndone = 0; // batches
+    std::vector<char> mDone;
+    const std::uint64_t mMostBytes; // of rows that are held as another batch begins
+    std::size_t mRuns = 0;
+    std::uint32_t mClaimed = 0, mScanned = 0; // rows before them
+    std::uint64_t mClaimedPairs = 0,
+                  mScannedPairs = 0; // of the claimed rows; of those that were scanned after them
+};
+
+OrderedSearch::OrderedSearch(EngineState& engine, const SparseGrid& grid, const SearchOptions& options)
+    : mEngine(engine), mGrid(grid), mOptions(options), mRun(grid.data(), grid.data(), options)
+{
+    const SparseGridData& data = grid.data();
+    mOrder = std::make_unique<TaskOrder>(data, mRun.pieces);
+    const std::size_t particles = data.particleCount(), sampled = std::min(particles, kSampledQueries);
+    std::vector<QueryRange> sample;
+    auto piece = mRun.pieces.begin();
+    for (std::size_t k = 0; k < sampled; ++k) {
+        const auto slot = static_cast<std::uint32_t>(particles * k / sampled);
+        while (piece->endSlot <= slot) ++piece;
+        sample.push_back({piece->leaf, slot, slot + 1});
+    }
+    double neighbors = 0;
+    for (const std::uint32_t count : countQueries(data, mRun.radius, sample, mRun.cancel)) neighbors += count;
+    if (sampled > 0) mExpectedNeighbors = neighbors / static_cast<double>(sampled);
+}
+
+OrderedSearch::~OrderedSearch() = default;
+
+std::uint64_t OrderedSearch::windowRows() const
+{
+    return mOrder->windowRows;
+}
+
+// What waits for others anyway, and some more; each thread may go on to the end of its batch after that.
+std::uint64_t OrderedSearch::mostBytesBegun(std::uint64_t windowBytes) const
+{
+    const auto threads = static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());
+    const auto waiting = static_cast<std::uint64_t>(static_cast<double>(windowRows()) * mExpectedNeighbors *
+                                                    sizeof(std::uint32_t));
+    const std::uint64_t kept = threads * kThreadBytes;
+    return std::min(waiting + waiting / 2 + kAheadBytes, windowBytes - std::min(windowBytes, kept));
+}
+
+std::uint64_t OrderedSearch::countPairs()
+{
+    mEngine.beginStatistics(mOptions);
+    PageArray<std::uint32_t> counts; // by slot
+    counts.resizeDiscarding(mRun.queries.particleCount());
+    const CancelCheck cancel(mOptions.progress, "count");
+    forEachTask(mRun.queries, mRun.pieces, mEngine.states, cancel,
+                [&](ThreadState& state, const SearchTask& task) {
+                    state.sink.slotBase = 0;
+                    state.sink.rowCount = counts.data();
+                    mEngine.runTask(mRun, mRun.kernels.count, state, task);
+                });
+    return mEngine.sumStatistics().pairs;
+}
+
+NeighborLists OrderedSearch::run(std::uint64_t windowBytes, RowRunConsumer& consumer)
+{
+    const double start = wallSeconds();
+    const std::shared_ptr<NeighborListsData> result = mEngine.beginLists(mGrid, mRun.radius, Encoding::kNone);
+    mEngine.beginStatistics(mOptions);
+    try {
+        mChecksum = Rows(*this, windowBytes, *result, consumer).run();
+    } catch (const RowWindow::Exceeded&) {
+        throw WindowExceeded();
+    }
+    ChunkPool none({});
+    mEngine.finishLists(mRun, none, *result);
+    mEngine.lists = result;
+    mEngine.statistics.searchSeconds = wallSeconds() - start;
+    return NeighborLists(result);
+}
+
+} // namespace vdb_nns
