@@ -470,6 +470,38 @@ TEST_F(VdbReader, readsRandomFilesAsOpenVdbDoes)
     EXPECT_GT(points, 300u * 1000);
 }
 
+// Counts what is read.
+class CountedBytes final : public ByteSource {
+public:
+    explicit CountedBytes(const ByteSource& file) : mFile(file)
+    {
+        mName = file.name();
+        mSize = file.size();
+    }
+
+    void readAt(std::uint64_t offset, void* out, std::size_t bytes) const override
+    {
+        mBytesRead += bytes;
+        mFile.readAt(offset, out, bytes);
+    }
+
+    std::uint64_t bytesRead() const { return mBytesRead; }
+
+private:
+    const ByteSource& mFile;
+    mutable std::uint64_t mBytesRead = 0; // by one thread
+};
+
+// A directory is read in small parts: those of many small grids would else be read hundreds of times.
+TEST_F(VdbReader, readsADirectoryOfManyGridsAFewTimesAtMost)
+{
+    const std::string bytes = makeManyInstances(3000);
+    const MemoryBytes memory(bytes.data(), bytes.size());
+    const CountedBytes file(memory);
+    EXPECT_EQ(readVdbDirectory(file).entries.size(), 3001u);
+    EXPECT_LT(file.bytesRead(), 60 * bytes.size());
+}
+
 TEST_F(VdbReader, readsFilesOfOtherVersionsAsOpenVdbDoes)
 {
     for (const char* const name : {"openvdb13_dam_break_3000.vdb", "openvdb13_spray_fx16.vdb"}) {

@@ -842,6 +842,19 @@ std::string makeRandomVdb(std::uint32_t seed)
     return random.flip() ? file(grids, compression) : stream(grids, compression);
 }
 
+std::string makeManyInstances(std::uint32_t instances)
+{
+    openvdb::initialize();
+    Random random(24);
+    const auto grid = simpleGrid(random);
+    GridPtrVec grids = {grid};
+    for (std::uint32_t i = 0; i < instances; ++i) {
+        grids.push_back(PointDataGrid::create(grid->treePtr()));
+        grids.back()->setName("instance");
+    }
+    return stream(grids);
+}
+
 std::string makeUniformVdb(std::uint32_t leaves, std::uint32_t pointsPerLeaf)
 {
     openvdb::initialize();

@@ -17,6 +17,9 @@ std::string makeVdbCase(const std::string& name);
 // A file of some grids whose kinds, sizes, attributes and compression are drawn from the seed.
 std::string makeRandomVdb(std::uint32_t seed);
 
+// A stream of a grid and so many instances of it.
+std::string makeManyInstances(std::uint32_t instances);
+
 // A file of a few KB whose leaves have so many points each, all with one value of P.
 std::string makeUniformVdb(std::uint32_t leaves, std::uint32_t pointsPerLeaf);
 
