@@ -190,9 +190,10 @@ FileBytes headerText(const std::string& path, FileBytes bytes, std::size_t& data
 
 } // namespace
 
-NpyLayout parseNpy(const std::string& path, FileBytes bytes)
+bool parseNpy(const ArrayFile& file, NpyLayout& layout, ReadArray&)
 {
-    NpyLayout layout;
+    const std::string& path = file.path;
+    const FileBytes bytes = file.bytes;
     const FileBytes text = headerText(path, bytes, layout.dataOffset);
     const Header header = HeaderParser(path, text, layout.dataOffset - text.size()).parse();
 
@@ -229,7 +230,7 @@ NpyLayout parseNpy(const std::string& path, FileBytes bytes)
                          std::to_string(kMaxFilePoints) + " that fit; split the file");
     }
     layout.count = static_cast<std::size_t>(count);
-    return layout;
+    return true;
 }
 
 } // namespace vdb_nns

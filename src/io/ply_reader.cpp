@@ -296,9 +296,11 @@ void checkCounts(const std::string& path, const PlyHeader& header, std::size_t f
 
 } // namespace
 
-PositionArray parsePly(const std::string& path, FileBytes bytes, std::uint64_t allowedBytes,
-                       const CancelCheck& cancel)
+ReadArray parsePly(const ArrayFile& file)
 {
+    const std::string& path = file.path;
+    const FileBytes bytes = file.bytes;
+    const CancelCheck& cancel = file.cancel;
     const PlyHeader header = PlyHeaderReader(path, bytes).read();
     checkCounts(path, header, bytes.size());
     const auto vertex = std::find_if(header.elements.begin(), header.elements.end(),
@@ -310,13 +312,13 @@ PositionArray parsePly(const std::string& path, FileBytes bytes, std::uint64_t a
                          std::to_string(kMaxFilePoints) + " that fit; split the file");
     }
     checkPointsFit(path, vertex->count * 3 * (layout.isDouble ? sizeof(double) : sizeof(float)),
-                   allowedBytes);
+                   file.allowedBytes);
     if (header.format == PlyFormat::kAscii) {
         TextValues values(path, bytes, header.bytes, cancel);
-        return readBody(values, header, *vertex, layout);
+        return {readBody(values, header, *vertex, layout), {}, {}};
     }
     BinaryValues values(path, bytes, header.bytes, header.format == PlyFormat::kBigEndian, cancel);
-    return readBody(values, header, *vertex, layout);
+    return {readBody(values, header, *vertex, layout), {}, {}};
 }
 
 } // namespace vdb_nns

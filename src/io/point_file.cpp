@@ -95,14 +95,17 @@ ParticleView readArray(const InputFile& file, std::uint64_t allowedBytes, const 
     const FileBytes bytes(static_cast<const unsigned char*>(data.bytes.data()),
                           static_cast<std::size_t>(file.size()));
     bool isDouble = false;
-    if (info.format == "npy") {
-        const NpyLayout layout = parseNpy(info.path, bytes);
+    const ArrayChoice choice;
+    const ArrayFile array{info.path, bytes, choice, allowedBytes - file.size(), cancel};
+    NpyLayout layout;
+    ReadArray found;
+    if (info.format == "npy" && parseNpy(array, layout, found)) {
         isDouble = layout.isDouble;
         data.view = isDouble ? viewOfNpy<double>(data.bytes, layout) : viewOfNpy<float>(data.bytes, layout);
     } else {
-        const std::uint64_t left = allowedBytes - static_cast<std::size_t>(file.size());
-        data.positions = info.format == "ply" ? parsePly(info.path, bytes, left, cancel)
-                                              : parseXyz(info.path, bytes, left, cancel);
+        if (info.format == "ply") found = parsePly(array);
+        if (info.format == "xyz") found = parseText(array);
+        data.positions = std::move(found.positions);
         data.bytes = {};
         const PositionArray& positions = data.positions;
         isDouble = positions.floats.empty();

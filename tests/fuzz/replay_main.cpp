@@ -2,7 +2,7 @@
 // from a fixed random sequence, for some seconds. A crash, a sanitizer's report or any exception but
 // InputError ends it.
 //
-//   replay npy|ply|xyz [SECONDS [FIRST_SEED]]
+//   replay npy|ply|text [SECONDS [FIRST_SEED]]
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
@@ -104,7 +104,7 @@ void run(const std::string& input)
 int main(int argc, char** argv)
 {
     if (argc < 2) {
-        std::fprintf(stderr, "usage: replay npy|ply|xyz [SECONDS [FIRST_SEED]]\n");
+        std::fprintf(stderr, "usage: replay npy|ply|text [SECONDS [FIRST_SEED]]\n");
         return 2;
     }
     const std::vector<std::string> seeds = seedsOf(argv[1]);

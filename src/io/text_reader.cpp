@@ -10,6 +10,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <optional>
+#include <utility>
 
 namespace vdb_nns {
 
@@ -148,9 +149,11 @@ void refuseCountLine(const std::string& path, const char* begin, const char* end
 
 } // namespace
 
-PositionArray parseXyz(const std::string& path, FileBytes bytes, std::uint64_t allowedBytes,
-                       const CancelCheck& cancel)
+ReadArray parseText(const ArrayFile& file)
 {
+    const std::string& path = file.path;
+    const FileBytes bytes = file.bytes;
+    const CancelCheck& cancel = file.cancel;
     const char* const begin = reinterpret_cast<const char*>(bytes.data());
     const char* const end = begin + bytes.size();
     refuseCountLine(path, begin, end);
@@ -166,7 +169,7 @@ PositionArray parseXyz(const std::string& path, FileBytes bytes, std::uint64_t a
     std::uint64_t points = 0;
     for (const Chunk& chunk : chunks) points += chunk.points;
     // Read by chunks, then put together.
-    checkPointsFit(path, 2 * points * 3 * sizeof(double), allowedBytes);
+    checkPointsFit(path, 2 * points * 3 * sizeof(double), file.allowedBytes);
     forEachChunk([&](std::size_t i) { readChunk(chunks[i], begin); });
 
     PositionArray result;
@@ -194,7 +197,7 @@ PositionArray parseXyz(const std::string& path, FileBytes bytes, std::uint64_t a
         std::copy(chunks[i].values.begin(), chunks[i].values.end(), result.doubles.begin() + starts[i]);
         std::vector<double>().swap(chunks[i].values);
     });
-    return result;
+    return {std::move(result), {}, {}};
 }
 
 } // namespace vdb_nns
