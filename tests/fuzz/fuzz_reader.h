@@ -16,6 +16,7 @@ int readFuzzed(const unsigned char* data, std::size_t size, Read&& read)
         try {
             read(ArrayFile{path, {data, size}, choice, 100 * size + 4096, cancel});
         } catch (const InputError&) {
+        } catch (const InvalidInput&) { // of choices that the file does not have
         } catch (const CapacityError&) {
         }
     }
