@@ -22,6 +22,8 @@ namespace {
 
 // Rows that are looked at for a column that numbers the points.
 constexpr std::size_t kSampledRows = 100;
+// In the comment of "extended" .xyz.
+constexpr std::string_view kProperties = "Properties=";
 
 struct Line {
     const char* begin = nullptr;
@@ -55,16 +57,19 @@ std::size_t numbersIn(const std::vector<std::string_view>& fields)
     return static_cast<std::size_t>(std::count_if(fields.begin(), fields.end(), isNumber));
 }
 
-// The separator that leaves the most numbers.
+// The separator that leaves the most numbers, and of several the fewest fields, as in `1 , 2 , 3`.
 char separatorOf(std::string_view text)
 {
     char best = ' ';
-    std::size_t most = numbersIn(fieldsOf(text, ' '));
+    std::vector<std::string_view> fields = fieldsOf(text, ' ');
+    std::size_t most = numbersIn(fields), fewest = fields.size();
     for (const char separator : {',', ';'}) {
-        const std::size_t numbers = numbersIn(fieldsOf(text, separator));
-        if (numbers > most) {
+        fields = fieldsOf(text, separator);
+        const std::size_t numbers = numbersIn(fields);
+        if (numbers > most || (numbers > 0 && numbers == most && fields.size() < fewest)) {
             best = separator;
             most = numbers;
+            fewest = fields.size();
         }
     }
     return best;
@@ -181,7 +186,8 @@ private:
         }
         const Line comment = rawLine(line.next), first = rawLine(comment.next == mEnd ? mEnd : comment.next);
         const std::string_view rest = trimmed(withoutComment(comment.text));
-        const bool hasRow = numbersIn(fieldsOf(rest, separatorOf(rest))) >= 3;
+        const bool hasRow = numbersIn(fieldsOf(rest, separatorOf(rest))) >= 3 &&
+                            rest.find(kProperties) == std::string_view::npos; // a lattice has numbers too
         const std::vector<std::string_view> atom = fieldsOf(trimmed(first.text), ' ');
         const bool hasElement = atom.size() >= 4 && !isNumber(atom[0]) && isNumber(atom[1]);
         const bool hasComment = mNames.empty() && !hasRow && !rest.empty();
@@ -288,9 +294,9 @@ private:
     // Column of `pos` after the comment's Properties=name:type:columns:...
     std::optional<std::uint32_t> positionProperty() const
     {
-        std::size_t at = mComment.find("Properties=");
+        const std::size_t at = mComment.find(kProperties);
         if (at == std::string_view::npos) return std::nullopt;
-        std::string_view list = mComment.substr(at + 11);
+        std::string_view list = mComment.substr(at + kProperties.size());
         if (!list.empty() && list.front() == '"') list.remove_prefix(1);
         list = list.substr(0, list.find_first_of(" \t\""));
         std::uint32_t column = 0;

@@ -73,7 +73,9 @@ TEST(TextReader, takesAnyLineEndAndSeparator)
     EXPECT_EQ(valuesOf("1,2,3,\n4,5,6,\n"), expected); // the last column is empty
     EXPECT_EQ(valuesOf("\"a,b\",1,2,3\n\"c\",4,5,6\n", {{1, 2, 3}, {}}), expected);
     EXPECT_ERROR(valuesOf("1,2,3\n4,,6\n"), "line 2 (byte 6) has nothing in column 1");
-    EXPECT_ERROR(valuesOf("\xFF\xFE" "1 2 3"), "UTF-16");
+    EXPECT_ERROR(valuesOf("\xFF\xFE"
+                          "1 2 3"),
+                 "UTF-16");
 }
 
 TEST(TextReader, findsColumns)
@@ -85,6 +87,7 @@ TEST(TextReader, findsColumns)
     EXPECT_TRUE(named.notes.empty());
     EXPECT_EQ(valuesOf("//X Y Z R\n2\n1 2 3 9\n4 5 6 9\n"), expected);
     EXPECT_EQ(valuesOf("\"x\";\"y\";\"z\"\n1;2;3\n4;5;6\n"), expected);
+    EXPECT_EQ(valuesOf("1 , 2 , 3\n4 ,5 , 6\n"), expected);
     EXPECT_EQ(valuesOf("x y z\n"), Values{});
     const ReadArray unnamed = parsed("lon lat height\n1 2 3\n4 5 6\n");
     EXPECT_EQ(unnamed.positions.doubles, expected);
@@ -136,6 +139,8 @@ TEST(TextReader, readsChemistry)
     EXPECT_EQ(frames.positions.doubles, expected);
     ASSERT_EQ(frames.notes.size(), 1u);
     EXPECT_NE(frames.notes[0].find("several frames"), std::string::npos);
+    EXPECT_EQ(valuesOf("1\nLattice=\"9 0 0 0 9 0 0 0 9\" Properties=Z:I:1:pos:R:3\n8 1 2 3\n"),
+              (Values{1, 2, 3}));
     EXPECT_EQ(valuesOf("2\nLattice=\"1 0 0\" Properties=species:S:1:forces:R:3:pos:R:3 pbc=\"T T T\"\n"
                        "H 9 9 9 1 2 3\nO 9 9 9 4 5 6\n"),
               expected);

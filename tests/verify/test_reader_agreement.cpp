@@ -12,6 +12,7 @@
 #include <cstdio>
 #include <cstring>
 #include <filesystem>
+#include <limits>
 #include <random>
 
 namespace vdb_nns::testing {
@@ -38,7 +39,10 @@ public:
     explicit Maker(std::uint64_t seed) : mRandom(seed) {}
 
     // From 0 to count - 1.
-    std::size_t below(std::size_t count) { return std::uniform_int_distribution<std::size_t>(0, count - 1)(mRandom); }
+    std::size_t below(std::size_t count)
+    {
+        return std::uniform_int_distribution<std::size_t>(0, count - 1)(mRandom);
+    }
     bool flip() { return below(2) == 0; }
     template <std::size_t N>
     std::string oneOf(const char* const (&words)[N])
@@ -71,7 +75,8 @@ public:
         const int fraction = static_cast<int>(below(1024)), exponent = static_cast<int>(below(31));
         const std::uint16_t sign = flip();
         const auto bits = static_cast<std::uint16_t>(sign << 15 | exponent << 10 | fraction);
-        const double value = exponent ? std::ldexp(1 + fraction / 1024., exponent - 15) : std::ldexp(fraction / 1024., -14);
+        const double value =
+            exponent ? std::ldexp(1 + fraction / 1024., exponent - 15) : std::ldexp(fraction / 1024., -14);
         return {std::string(reinterpret_cast<const char*>(&bits), 2), "", sign ? -value : value};
     }
 
@@ -98,7 +103,8 @@ public:
         }
         char text[64];
         std::snprintf(text, sizeof text, format, static_cast<double>(value));
-        return {std::string(reinterpret_cast<const char*>(&value), sizeof value), text, static_cast<double>(value)};
+        return {std::string(reinterpret_cast<const char*>(&value), sizeof value), text,
+                static_cast<double>(value)};
     }
 
     std::vector<std::size_t> permutation(std::size_t count)
@@ -125,8 +131,11 @@ const char* const kNumberTypes[] = {"f2", "f4", "f8", "i1", "u1", "i2", "u2", "i
 
 std::string microsoftText(Maker& maker, const MadeNumber& number)
 {
-    if (std::isnan(number.value)) return maker.oneOf({"1.#QNAN", "-1.#IND", "1.#QNAN00", "nan", "NaN", "-nan"});
-    if (std::isinf(number.value)) return std::string(number.value < 0 ? "-" : "") + maker.oneOf({"1.#INF", "1.#INF00", "inf", "Infinity"});
+    if (std::isnan(number.value))
+        return maker.oneOf({"1.#QNAN", "-1.#IND", "1.#QNAN00", "nan", "NaN", "-nan"});
+    if (std::isinf(number.value))
+        return std::string(number.value < 0 ? "-" : "") +
+               maker.oneOf({"1.#INF", "1.#INF00", "inf", "Infinity"});
     return (number.value > 0 && maker.below(8) == 0 ? "+" : "") + number.text;
 }
 
@@ -136,14 +145,16 @@ MadeFile makeText(Maker& maker)
     const std::string lineEnd = maker.oneOf({"\n", "\r\n", "\r"});
     const std::string separator = maker.oneOf({" ", "\t", ",", ";"});
     const bool isBlank = separator == " " || separator == "\t";
-    const std::string before = maker.oneOf({"", "", " "}), behind = before.empty() ? maker.oneOf({"", " ", "\t "}) : "";
+    const std::string before = maker.oneOf({"", "", " "}), behind = maker.oneOf({"", " ", "\t "});
     const auto join = [&](const std::vector<std::string>& fields) {
         std::string line = maker.below(10) == 0 ? "  " : "";
         for (std::size_t i = 0; i < fields.size(); ++i)
             line += (i == 0 ? "" : isBlank ? separator + behind : before + separator + behind) + fields[i];
         return line;
     };
-    const auto comment = [&] { return maker.below(4) == 0 ? maker.oneOf({"# a, b", "#", "", "  "}) + lineEnd : std::string(); };
+    const auto comment = [&] {
+        return maker.below(4) == 0 ? maker.oneOf({"# a, b", "#", "", "  "}) + lineEnd : std::string();
+    };
 
     const std::size_t rows = maker.below(40), extra = maker.below(4), width = 3 + extra;
     const bool isChemistry = isBlank && maker.below(4) == 0, hasNames = !isChemistry && maker.below(3) == 0;
@@ -165,15 +176,18 @@ MadeFile makeText(Maker& maker)
         file.options.columns.assign(place.begin(), place.end());
         if (place == std::vector<std::size_t>{0, 1, 2} && maker.flip()) file.options.columns.clear();
     }
+    bool isAtomicNumber = false;
     if (isChemistry) {
         const bool hasProperties = maker.flip();
-        file.bytes += std::to_string(rows) + lineEnd +
-                      (hasProperties ? "Lattice=\"1 0 0 0 1 0 0 0 1\" Properties=species:S:1:pos:R:3" : "a molecule") + lineEnd;
+        isAtomicNumber = maker.flip();
+        file.bytes +=
+            std::to_string(rows) + lineEnd +
+            (hasProperties ? "Lattice=\"1 0 0 0 1 0 0 0 1\" Properties=Z:I:1:pos:R:3" : "a molecule") +
+            lineEnd;
     } else if (maker.below(3) == 0) {
         // Behind a number that ends the text, or a blank line, chemistry would have its comment.
         file.bytes += std::to_string(rows) + lineEnd;
     }
-    const bool hasElement = isChemistry;
     for (std::size_t row = 0; row < rows; ++row) {
         std::vector<std::string> fields(width);
         for (std::string& field : fields) field = maker.number("f4").text;
@@ -182,7 +196,9 @@ MadeFile makeText(Maker& maker)
             fields[place[k]] = microsoftText(maker, number);
             file.points.push_back(number.value);
         }
-        if (hasElement) fields.insert(fields.begin(), maker.oneOf({"H", "He", "C", "O"}));
+        if (isChemistry)
+            fields.insert(fields.begin(),
+                          isAtomicNumber ? maker.oneOf({"1", "6"}) : maker.oneOf({"H", "He", "C"}));
         file.bytes += join(fields) + (maker.below(9) == 0 && isBlank ? " # note" : "");
         if (row + 1 < rows || maker.flip()) file.bytes += lineEnd;
     }
@@ -191,9 +207,11 @@ MadeFile makeText(Maker& maker)
 
 // ---------------------------------------------------------------------------------------------------- npy
 
-std::string npyBytes(Maker& maker, const std::string& descr, bool isFortran, const std::string& shape, const std::string& values)
+std::string npyBytes(Maker& maker, const std::string& descr, bool isFortran, const std::string& shape,
+                     const std::string& values)
 {
-    std::string header = "{'descr': " + descr + ", 'fortran_order': " + (isFortran ? "True" : "False") + ", 'shape': " + shape + ", }";
+    std::string header = "{'descr': " + descr + ", 'fortran_order': " + (isFortran ? "True" : "False") +
+                         ", 'shape': " + shape + ", }";
     header += std::string(maker.below(70), ' ') + "\n";
     const auto version = static_cast<char>(1 + maker.below(3));
     std::string bytes = std::string("\x93NUMPY") + version + '\0';
@@ -231,7 +249,8 @@ MadeFile makeNpyArray(Maker& maker)
     for (std::size_t row = 0; row < rows; ++row) {
         for (const std::size_t column : place) file.points.push_back(numbers[row * width + column].value);
     }
-    file.bytes = npyBytes(maker, descr, isFortran, "(" + std::to_string(rows) + ", " + std::to_string(width) + ")", values);
+    file.bytes = npyBytes(maker, descr, isFortran,
+                          "(" + std::to_string(rows) + ", " + std::to_string(width) + ")", values);
     return file;
 }
 
@@ -279,8 +298,9 @@ MadeFile makeNpz(Maker& maker)
 
 // ---------------------------------------------------------------------------------------------------- ply
 
-const std::array<const char*, 2> kPlyNames[] = {{{"char", "int8"}},   {{"uchar", "uint8"}}, {{"short", "int16"}}, {{"ushort", "uint16"}},
-                                                {{"int", "int32"}},   {{"uint", "uint32"}}, {{"float", "float32"}}, {{"double", "float64"}}};
+const std::array<const char*, 2> kPlyNames[] = {
+    {{"char", "int8"}}, {{"uchar", "uint8"}}, {{"short", "int16"}},   {{"ushort", "uint16"}},
+    {{"int", "int32"}}, {{"uint", "uint32"}}, {{"float", "float32"}}, {{"double", "float64"}}};
 const char* const kPlyTypes[] = {"i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"};
 
 class PlyMaker {
@@ -291,9 +311,11 @@ public:
     {
         const std::string lineEnd = mMaker.oneOf({"\n", "\r\n"});
         mHeader = "ply" + lineEnd + comment(lineEnd) + "format " +
-                  (const char*[]){"ascii", "binary_little_endian", "binary_big_endian"}[mFormat] + " 1.0" + lineEnd;
+                  (const char*[]){"ascii", "binary_little_endian", "binary_big_endian"}[mFormat] + " 1.0" +
+                  lineEnd;
         const std::size_t elements = 1 + mMaker.below(3), vertex = mMaker.below(elements);
-        for (std::size_t i = 0; i < elements; ++i) addElement(i == vertex ? "vertex" : "e" + std::to_string(i), i == vertex, lineEnd);
+        for (std::size_t i = 0; i < elements; ++i)
+            addElement(i == vertex ? "vertex" : "e" + std::to_string(i), i == vertex, lineEnd);
         mFile.bytes = mHeader + "end_header" + lineEnd + mBody;
         return mFile;
     }
@@ -312,15 +334,19 @@ private:
 
     void addElement(const std::string& name, bool isVertex, const std::string& lineEnd)
     {
-        const std::size_t rows = mMaker.below(30), width = isVertex ? 3 + mMaker.below(4) : 1 + mMaker.below(3);
+        const std::size_t rows = mMaker.below(30),
+                          width = isVertex ? 3 + mMaker.below(4) : 1 + mMaker.below(3);
         mHeader += "element " + name + " " + std::to_string(rows) + lineEnd + comment(lineEnd);
         std::vector<Property> properties;
         for (const std::size_t i : mMaker.permutation(width)) {
             const std::size_t type = mMaker.below(8);
             Property property{kPlyTypes[type], isVertex && i < 3 ? static_cast<int>(i) : -1, false};
             property.isList = property.coordinate < 0 && mMaker.below(3) == 0;
-            mHeader += "property " + std::string(property.isList ? "list uchar " : "") + kPlyNames[type][mMaker.below(2)] + " " +
-                       (property.coordinate < 0 ? "p" + std::to_string(i) : std::string(1, "xyz"[property.coordinate])) + lineEnd;
+            mHeader += "property " + std::string(property.isList ? "list uchar " : "") +
+                       kPlyNames[type][mMaker.below(2)] + " " +
+                       (property.coordinate < 0 ? "p" + std::to_string(i)
+                                                : std::string(1, "xyz"[property.coordinate])) +
+                       lineEnd;
             properties.push_back(property);
         }
         for (std::size_t row = 0; row < rows; ++row) addRow(properties, isVertex, lineEnd);
@@ -365,26 +391,107 @@ MadeFile makePly(Maker& maker)
     return PlyMaker(maker).make();
 }
 
+// ---------------------------------------------------------------------------------------------------- vtk, bgeo
+
+MadeFile makeVtk(Maker& maker)
+{
+    static const char* const kNames[] = {"char", "unsigned_char", "short", "unsigned_short",
+                                         "int",  "unsigned_int",  "float", "double"};
+    const bool isText = maker.flip();
+    MadeFile file;
+    file.bytes = std::string("# vtk DataFile Version 3.0\nPOINTS 1 float\n") + (isText ? "ASCII" : "BINARY") +
+                 "\nDATASET " + maker.oneOf({"POLYDATA", "UNSTRUCTURED_GRID"}) + "\n";
+    const auto addNumbers = [&](std::size_t count, const std::string& type, Positions* values) {
+        for (; count > 0; --count) {
+            const MadeNumber number = maker.number(type);
+            file.bytes += isText ? number.text + maker.oneOf({" ", "\n", "  "}) : swapped(number.raw);
+            if (values) values->push_back(number.value);
+        }
+        file.bytes += "\n";
+    };
+    if (maker.flip()) {
+        const std::size_t arrays = maker.below(3);
+        file.bytes += "FIELD FieldData " + std::to_string(arrays) + "\n";
+        for (std::size_t i = 0; i < arrays; ++i) {
+            const std::size_t components = 1 + maker.below(3), tuples = maker.below(5), type = maker.below(8);
+            file.bytes += "a" + std::to_string(i) + " " + std::to_string(components) + " " +
+                          std::to_string(tuples) + " " + kNames[type] + "\n";
+            addNumbers(components * tuples, kPlyTypes[type], nullptr);
+        }
+    }
+    const std::size_t rows = maker.below(40), type = maker.below(8);
+    file.bytes += "POINTS " + std::to_string(rows) + " " + kNames[type] + "\n";
+    addNumbers(3 * rows, kPlyTypes[type], &file.points);
+    file.bytes += maker.oneOf({"", "POINT_DATA 0\n", "\nVERTICES 0 0\n"});
+    return file;
+}
+
+MadeFile makeBgeo(Maker& maker)
+{
+    const auto big = [](std::uint64_t value, std::size_t bytes) {
+        return swapped(std::string(reinterpret_cast<const char*>(&value), bytes));
+    };
+    MadeFile file;
+    const std::size_t rows = maker.below(40), attributes = maker.below(4), primitives = maker.below(2);
+    file.bytes = "BgeoV" + big(5, 4);
+    for (const std::size_t count : {rows, primitives, std::size_t(0), std::size_t(0), attributes})
+        file.bytes += big(count, 4);
+    file.bytes += std::string(12, '\0');
+    std::size_t values = 0;
+    for (std::size_t i = 0; i < attributes; ++i) {
+        const std::size_t type = (const std::size_t[]){0, 1, 4, 5}[maker.below(4)],
+                          size = type == 4 ? 1 : 1 + maker.below(4);
+        file.bytes += big(2, 2) + "a" + std::to_string(i) + big(size, 2) + big(type, 4);
+        if (type == 4) {
+            const std::size_t words = maker.below(3);
+            file.bytes += big(words, 4);
+            for (std::size_t word = 0; word < words; ++word) file.bytes += big(4, 2) + "word";
+        } else {
+            for (std::size_t k = 0; k < size; ++k) file.bytes += swapped(maker.number("f4").raw);
+        }
+        values += size;
+    }
+    for (std::size_t row = 0; row < rows; ++row) {
+        for (std::size_t k = 0; k < 4 + values; ++k) {
+            const MadeNumber number = maker.number("f4");
+            file.bytes += swapped(number.raw);
+            if (k < 3) file.points.push_back(number.value);
+        }
+    }
+    file.bytes += primitives > 0 ? "a primitive" : maker.flip() ? std::string("\0\xff", 2) : "";
+    return file;
+}
+
 // ---------------------------------------------------------------------------------------------------- all kinds
 
-// A failure prints the number of the file, whose bytes are then under the temporary folder.
-void expectAgreement(const std::string& extension, MadeFile (*make)(Maker&))
+// What verify's reader makes of 400 files. A failure prints the seed of the file, which then lies at the path.
+// `alsoEngine`: with each file that it was right about.
+void expectOwn(
+    const std::string& extension, MadeFile (*make)(Maker&),
+    void (*alsoEngine)(const std::string&, const MadeFile&) = [](const std::string&, const MadeFile&) {})
 {
     const std::string path = ::testing::TempDir() + "vdb_nns_agreement." + extension;
     for (std::uint64_t seed = 0; seed < 400; ++seed) {
+        SCOPED_TRACE(path + " of seed " + std::to_string(seed));
         Maker maker(seed);
         const MadeFile file = make(maker);
         writeBytes(path, file.bytes);
-        const std::string what = path + " of seed " + std::to_string(seed);
         Positions own;
-        ASSERT_NO_THROW(own = cli::readArrayPoints(path, file.options)) << what;
+        ASSERT_NO_THROW(own = cli::readArrayPoints(path, file.options));
         const ParticleView made = ParticleView::fromArray(file.points.data(), file.points.size() / 3);
-        ASSERT_EQ(cli::findDifference(what, made, own).value_or(""), "");
-        PointFile engine;
-        ASSERT_NO_THROW(engine = PointFile::read(path, file.options)) << what;
-        ASSERT_EQ(cli::findDifference(what, engine.view(), file.points).value_or(""), "");
+        ASSERT_EQ(cli::findDifference(path, made, own).value_or(""), "");
+        ASSERT_NO_FATAL_FAILURE(alsoEngine(path, file));
     }
     std::filesystem::remove(path);
+}
+
+void expectAgreement(const std::string& extension, MadeFile (*make)(Maker&))
+{
+    expectOwn(extension, make, [](const std::string& path, const MadeFile& file) {
+        PointFile engine;
+        ASSERT_NO_THROW(engine = PointFile::read(path, file.options));
+        ASSERT_EQ(cli::findDifference(path, engine.view(), file.points).value_or(""), "");
+    });
 }
 
 } // namespace
@@ -412,6 +519,16 @@ TEST(ReaderAgreement, Npz)
 TEST(ReaderAgreement, Ply)
 {
     expectAgreement("ply", makePly);
+}
+
+TEST(ReaderAgreement, Vtk)
+{
+    expectOwn("vtk", makeVtk);
+}
+
+TEST(ReaderAgreement, Bgeo)
+{
+    expectOwn("bgeo", makeBgeo);
 }
 
 } // namespace vdb_nns::testing

@@ -36,7 +36,7 @@ public:
 
 private:
     std::istream& mStream;
-    std::string mBlock; // up to a LF
+    std::string mBlock;  // up to a LF
     std::size_t mAt = 1; // where its next line begins; past its end where there is none
 };
 

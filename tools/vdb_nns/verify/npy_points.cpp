@@ -125,8 +125,7 @@ private:
         const int version = mBytes[6];
         if (version < 1 || version > 3) fail("is an .npy file of version " + std::to_string(version));
         const unsigned lengthBytes = version == 1 ? 2 : 4;
-        const auto length =
-            static_cast<std::size_t>(*numberAt(mBytes.data() + 8, {'u', lengthBytes}, false));
+        const auto length = static_cast<std::size_t>(*numberAt(mBytes.data() + 8, {'u', lengthBytes}, false));
         mBegin = 8 + lengthBytes + length;
         if (mBegin > mBytes.size()) fail("ends inside of its .npy header");
         return LiteralReader(mInput, mBytes.substr(8 + lengthBytes, length)).read();
@@ -151,7 +150,8 @@ private:
     // "<f4": the order of bytes, a kind and their number. `bytes`: of a value, of any kind.
     Column columnOf(const std::string& descr, std::uint64_t& bytes) const
     {
-        if (descr.size() < 3 || descr.size() > 8 || descr.find_first_not_of("0123456789", 2) != std::string::npos)
+        if (descr.size() < 3 || descr.size() > 8 ||
+            descr.find_first_not_of("0123456789", 2) != std::string::npos)
             fail("has the .npy type '" + descr + "', which is not read");
         bytes = std::stoull(descr.substr(2));
         return {{descr[1], static_cast<unsigned>(bytes)}, descr[0] == '>', 0};
@@ -167,7 +167,8 @@ private:
     {
         std::vector<Field> fields;
         for (const Literal& item : type.items) {
-            if (item.items.size() < 2 || item.items[1].kind != '\'') fail("has .npy records that are not read");
+            if (item.items.size() < 2 || item.items[1].kind != '\'')
+                fail("has .npy records that are not read");
             const Literal& name = item.items[0];
             Field field;
             field.name = name.kind == '(' && name.items.size() == 2 ? name.items[1].text : name.text;
@@ -175,7 +176,8 @@ private:
             field.column.offset = mItemBytes;
             field.isArray = item.items.size() > 2;
             if (field.isArray) {
-                for (const Literal& size : item.items[2].items) field.bytes = product(field.bytes, sizeOf(size));
+                for (const Literal& size : item.items[2].items)
+                    field.bytes = product(field.bytes, sizeOf(size));
             }
             mItemBytes += field.bytes;
             fields.push_back(field);
@@ -224,7 +226,8 @@ private:
 
     std::uint64_t product(std::uint64_t a, std::uint64_t b) const
     {
-        if (b > 0 && a > std::numeric_limits<std::uint64_t>::max() / b) fail("has an .npy shape that is too large");
+        if (b > 0 && a > std::numeric_limits<std::uint64_t>::max() / b)
+            fail("has an .npy shape that is too large");
         return a * b;
     }
 
@@ -233,8 +236,8 @@ private:
         std::uint64_t bytes = mItemBytes;
         for (const std::uint64_t size : mShape) bytes = product(bytes, size);
         if (bytes != mBytes.size() - mBegin) {
-            fail("has " + std::to_string(mBytes.size() - mBegin) + " bytes of values, and its .npy header says " +
-                 std::to_string(bytes));
+            fail("has " + std::to_string(mBytes.size() - mBegin) +
+                 " bytes of values, and its .npy header says " + std::to_string(bytes));
         }
     }
 

@@ -85,7 +85,8 @@ private:
                 mElements.push_back({words[1], lengthOf(words[2]), {}});
             } else if (keyword == "property" && !mElements.empty() && words.size() == 3) {
                 mElements.back().properties.push_back({words[2], typeOf(words[1]), std::nullopt});
-            } else if (keyword == "property" && !mElements.empty() && words.size() == 5 && words[1] == "list") {
+            } else if (keyword == "property" && !mElements.empty() && words.size() == 5 &&
+                       words[1] == "list") {
                 const NumberType length = typeOf(words[2]);
                 if (length.kind == 'f') mInput.fail("has a .ply list whose length is no integer");
                 mElements.back().properties.push_back({words[4], typeOf(words[3]), length});
@@ -111,8 +112,9 @@ private:
         const struct {
             const char *name, *newerName;
             NumberType type;
-        } kTypes[] = {{"char", "int8", {'i', 1}},   {"uchar", "uint8", {'u', 1}},  {"short", "int16", {'i', 2}},
-                      {"ushort", "uint16", {'u', 2}}, {"int", "int32", {'i', 4}},    {"uint", "uint32", {'u', 4}},
+        } kTypes[] = {{"char", "int8", {'i', 1}},     {"uchar", "uint8", {'u', 1}},
+                      {"short", "int16", {'i', 2}},   {"ushort", "uint16", {'u', 2}},
+                      {"int", "int32", {'i', 4}},     {"uint", "uint32", {'u', 4}},
                       {"float", "float32", {'f', 4}}, {"double", "float64", {'f', 8}}};
         for (const auto& known : kTypes) {
             if (name == known.name || name == known.newerName) return known.type;
@@ -168,7 +170,8 @@ private:
                 readRow(mElements[i], line, i == vertex);
             }
         }
-        if (isLast(vertex) && nextRow()) mInput.fail("has more .ply rows than its header declares: '" + line + "'");
+        if (isLast(vertex) && nextRow())
+            mInput.fail("has more .ply rows than its header declares: '" + line + "'");
     }
 
     // A line that has as many values as its element declares.
@@ -195,7 +198,8 @@ private:
             } else if (isVertex && mCoordinate[i] >= 0) {
                 const bool isFloat = property.type.kind == 'f' && property.type.bytes == 4;
                 const std::optional<double> value = isFloat ? floatOf(word) : numberOf(word);
-                if (!value) mInput.fail("has a .ply coordinate that is no number of its type: '" + word + "'");
+                if (!value)
+                    mInput.fail("has a .ply coordinate that is no number of its type: '" + word + "'");
                 position[mCoordinate[i]] = *value;
             }
         }
@@ -220,7 +224,8 @@ private:
     {
         for (std::size_t i = 0; i <= vertex; ++i) {
             if (mElements[i].properties.empty()) continue;
-            for (std::uint64_t row = 0; row < mElements[i].rows; ++row) readBinaryRow(mElements[i], i == vertex);
+            for (std::uint64_t row = 0; row < mElements[i].rows; ++row)
+                readBinaryRow(mElements[i], i == vertex);
         }
         if (isLast(vertex) && mStream.peek() != std::ifstream::traits_type::eof())
             mInput.fail("has more bytes than the .ply rows that its header declares");
@@ -234,7 +239,8 @@ private:
             if (property.length) {
                 const double length = readNumber(*property.length);
                 if (length < 0) mInput.fail("has a .ply list of negative length");
-                for (auto left = static_cast<std::uint64_t>(length); left > 0; --left) readNumber(property.type);
+                for (auto left = static_cast<std::uint64_t>(length); left > 0; --left)
+                    readNumber(property.type);
             } else {
                 const double value = readNumber(property.type);
                 if (isVertex && mCoordinate[i] >= 0) position[mCoordinate[i]] = value;

@@ -16,6 +16,7 @@ namespace {
 using Fields = std::vector<std::string>;
 
 const char* const kBlanks = " \t\v\f";
+const char* const kProperties = "Properties="; // in the comment of "extended" .xyz
 
 std::string trim(const std::string& text)
 {
@@ -62,23 +63,23 @@ void split(const std::string& line, char separator, Fields& fields)
 
 std::size_t numbersIn(const Fields& fields)
 {
-    return static_cast<std::size_t>(
-        std::count_if(fields.begin(), fields.end(), [](const std::string& f) { return numberOf(f).has_value(); }));
+    return static_cast<std::size_t>(std::count_if(
+        fields.begin(), fields.end(), [](const std::string& f) { return numberOf(f).has_value(); }));
 }
 
-// The separator with which a line has the most numbers, blanks first.
+// The separator with which a line has the most numbers; of several the one with the fewest fields, blanks first.
 char separatorOf(const std::string& line, std::size_t* numbers = nullptr)
 {
     char best = ' ';
-    std::size_t most = 0;
+    std::size_t most = 0, fewest = 0;
     Fields fields;
     for (const char separator : {' ', ',', ';'}) {
         split(line, separator, fields);
         const std::size_t found = numbersIn(fields);
-        if (found > most) {
-            best = separator;
-            most = found;
-        }
+        if (found < most || found == 0 || (found == most && fields.size() >= fewest)) continue;
+        best = separator;
+        most = found;
+        fewest = fields.size();
     }
     if (numbers) *numbers = most;
     return best;
@@ -186,7 +187,8 @@ private:
         const std::string comment = contentOf(mAhead[0]);
         std::size_t numbers = 0;
         separatorOf(comment, &numbers);
-        if (mNames.empty() && !comment.empty() && numbers < 3) return true;
+        const bool isRow = numbers >= 3 && comment.find(kProperties) == std::string::npos;
+        if (mNames.empty() && !comment.empty() && !isRow) return true;
         if (mAhead.size() < 2) return false;
         Fields atom;
         splitAtBlanks(mAhead[1], atom);
@@ -271,10 +273,9 @@ private:
     // "Extended" .xyz: Properties=species:S:1:pos:R:3, names with a type and a number of columns each.
     std::optional<std::size_t> positionProperty() const
     {
-        const std::string key = "Properties=";
-        const std::size_t at = mComment.find(key);
+        const std::size_t at = mComment.find(kProperties);
         if (at == std::string::npos) return std::nullopt;
-        std::string list = mComment.substr(at + key.size());
+        std::string list = mComment.substr(at + std::string(kProperties).size());
         if (list.compare(0, 1, "\"") == 0) list.erase(0, 1);
         list = list.substr(0, list.find_first_of(" \t\""));
         std::replace(list.begin(), list.end(), ':', ' ');

@@ -23,7 +23,8 @@ public:
         const std::string format = nextWord();
         mIsText = format == "ASCII";
         if (!mIsText && format != "BINARY") fail("is a .vtk file that is neither ASCII nor BINARY");
-        for (std::string keyword = nextWord(); keyword != "POINTS"; keyword = nextWord()) skipSection(keyword);
+        for (std::string keyword = nextWord(); keyword != "POINTS"; keyword = nextWord())
+            skipSection(keyword);
         return readPoints();
     }
 
@@ -80,10 +81,10 @@ private:
         const struct {
             const char* name;
             NumberType type;
-        } kTypes[] = {{"FLOAT", {'f', 4}},          {"DOUBLE", {'f', 8}},         {"CHAR", {'i', 1}},
-                      {"SIGNED_CHAR", {'i', 1}},    {"UNSIGNED_CHAR", {'u', 1}},  {"SHORT", {'i', 2}},
-                      {"UNSIGNED_SHORT", {'u', 2}}, {"INT", {'i', 4}},            {"UNSIGNED_INT", {'u', 4}},
-                      {"LONG", {'i', 8}},           {"UNSIGNED_LONG", {'u', 8}},  {"VTKIDTYPE", {'i', 4}},
+        } kTypes[] = {{"FLOAT", {'f', 4}},          {"DOUBLE", {'f', 8}},        {"CHAR", {'i', 1}},
+                      {"SIGNED_CHAR", {'i', 1}},    {"UNSIGNED_CHAR", {'u', 1}}, {"SHORT", {'i', 2}},
+                      {"UNSIGNED_SHORT", {'u', 2}}, {"INT", {'i', 4}},           {"UNSIGNED_INT", {'u', 4}},
+                      {"LONG", {'i', 8}},           {"UNSIGNED_LONG", {'u', 8}}, {"VTKIDTYPE", {'i', 4}},
                       {"VTKTYPEINT64", {'i', 8}},   {"VTKTYPEUINT64", {'u', 8}}};
         for (const auto& known : kTypes) {
             if (name == known.name) return known.type;
@@ -149,8 +150,9 @@ private:
         Positions positions;
         const auto add = [&](const std::optional<double>& value) {
             if (positions.size() % kRowsBetweenChecks == 0) mInput.checkCancelled();
-            if (!value) fail("has a coordinate of .vtk point " + std::to_string(positions.size() / 3) +
-                             " that is no number or not exact in double");
+            if (!value)
+                fail("has a coordinate of .vtk point " + std::to_string(positions.size() / 3) +
+                     " that is no number or not exact in double");
             positions.push_back(*value);
         };
         if (mIsText) {
@@ -162,7 +164,8 @@ private:
         } else {
             if (values > 0 || mAt < mBytes.size()) nextLine();
             const char* const first = takeBytes(values, type.bytes);
-            while (positions.size() < values) add(numberAt(first + positions.size() * type.bytes, type, true));
+            while (positions.size() < values)
+                add(numberAt(first + positions.size() * type.bytes, type, true));
         }
         checkWhatFollows();
         return positions;
@@ -171,8 +174,8 @@ private:
     void checkWhatFollows()
     {
         const std::string word = upper(peekWord());
-        for (const char* keyword : {"", "METADATA", "VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS", "CELLS",
-                                    "CELL_TYPES", "CELL_DATA", "POINT_DATA", "FIELD"}) {
+        for (const char* keyword : {"", "METADATA", "VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS",
+                                    "CELLS", "CELL_TYPES", "CELL_DATA", "POINT_DATA", "FIELD"}) {
             if (word == keyword) return;
         }
         fail("has something behind the points of a .vtk file that begins no section");
