@@ -2,6 +2,7 @@
 // knows the number of its first row, and then read in parallel to where they belong. Blank lines are no rows.
 #include "io/fixed_rows.h"
 #include "io/ply_body.h"
+#include "util/memory.h"
 
 #include <oneapi/tbb/parallel_for.h>
 
@@ -185,7 +186,7 @@ private:
     template <typename Real>
     void readRows(std::vector<Real>& out)
     {
-        out.resize(static_cast<std::size_t>(vertex().count) * 3);
+        resizeOnHugePages(out, static_cast<std::size_t>(vertex().count) * 3);
         forEachChunk([&](Chunk& chunk) { readChunk(chunk, out.data()); });
         for (const Chunk& chunk : mChunks) {
             if (chunk.fault) failAtLine(chunk.fault->line, chunk.fault->what);
