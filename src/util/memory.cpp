@@ -65,8 +65,7 @@ PageBlock::PageBlock(std::size_t bytes)
 
 void adviseHugePages(void* data, std::size_t bytes)
 {
-    constexpr std::uintptr_t kHugePage = std::uintptr_t(2) << 20;
-    const std::uintptr_t address = reinterpret_cast<std::uintptr_t>(data);
+    const auto address = reinterpret_cast<std::uintptr_t>(data);
     const std::uintptr_t begin = (address + kHugePage - 1) / kHugePage * kHugePage;
     const std::uintptr_t end = (address + bytes) / kHugePage * kHugePage;
     if (begin < end) madvise(reinterpret_cast<void*>(begin), end - begin, MADV_HUGEPAGE);
