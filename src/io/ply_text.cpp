@@ -69,6 +69,11 @@ std::string quoted(const char* begin, const char* end)
     return "'" + shownText({begin, static_cast<std::size_t>(end - begin)}) + "'";
 }
 
+std::string counted(std::uint64_t count, const char* what)
+{
+    return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
+}
+
 class TextBody {
 public:
     explicit TextBody(const PlyBody& body)
@@ -292,11 +297,10 @@ private:
     void setWidthFault(const PlyElement& element, const char* first, const char* end, const char* surplus,
                        std::optional<Fault>& fault) const
     {
-        std::string what = " has " + std::to_string(countValues(first, end)) +
-                           " values: " + quoted(first, end) + "; the header declares ";
+        std::string what = " has " + counted(countValues(first, end), "value") + ": " + quoted(first, end) +
+                           "; the header declares ";
         if (element.hasLists()) {
-            what += "lists, and with them the row has ";
-            what += surplus ? "fewer" : "more";
+            what += surplus ? "fewer, lists included," : "more, lists included,";
         } else {
             what += std::to_string(element.properties.size());
         }
@@ -305,8 +309,8 @@ private:
             what += (i ? " " : "") + shownText(element.properties[i].name);
         what += ")";
         if (surplus) {
-            what += "; " + std::to_string(countValues(surplus, end)) + " values, " +
-                    std::to_string(end - surplus) + " bytes, are left over behind the last one";
+            what += "; left over behind the last one: " + counted(countValues(surplus, end), "value") + ", " +
+                    counted(static_cast<std::uint64_t>(end - surplus), "byte");
         } else if (end == mEnd) {
             what += "; the file is truncated";
         }
@@ -413,9 +417,10 @@ private:
     {
         failAtLine(line, ", " + quoted(line, endOfLineAt(line)) +
                              ", stands behind the last row that the .ply header declares: " +
-                             std::to_string(lines - mFirstRow.back()) + " lines or " +
-                             std::to_string(mEnd - line) + " bytes are left over behind the " +
-                             std::to_string(mFirstRow.back()) + " rows; correct the counts of the header");
+                             counted(lines - mFirstRow.back(), "line") + ", " +
+                             counted(static_cast<std::uint64_t>(mEnd - line), "byte") +
+                             ", left over behind " + counted(mFirstRow.back(), "row") +
+                             "; correct the counts of the header");
     }
 
     std::uint64_t lineNumberOf(const char* place) const

@@ -111,7 +111,7 @@ public:
             if (section == "points") {
                 const std::uint64_t count = number();
                 typeName = lowered(word());
-                endLine();
+                if (isBinary) endLine();
                 return count;
             }
             skipSection(section, at);
@@ -216,7 +216,7 @@ private:
         }
         const std::uint64_t count = number(), size = number();
         const std::size_t after = next;
-        if (lowered(word()) != "offsets" || !isWord(wordAt(skipSpaces()))) { // before version 5
+        if (lowered(word()) != "offsets") { // before version 5
             next = after;
             return skipValues(size, "int", at);
         }
@@ -258,7 +258,7 @@ private:
         const bool isString = typeName == "string" || typeName == "utf8_string";
         if (typeName == "variant") failAt(at, "an array of type variant stands before POINTS; remove it");
         if (!isString && typeName != "bit") typeNamed(typeName, at);
-        endLine();
+        if (isBinary || isString) endLine();
         if (isString) return skipStrings(count, at);
         if (isBinary) {
             const bool isBit = typeName == "bit";
@@ -314,9 +314,11 @@ PositionArray readBinaryPoints(const ArrayFile& file, const VtkWalk& walk, std::
                                const std::string& typeName, NumberType type)
 {
     const std::uint64_t left = file.bytes.size() - walk.next;
-    std::vector<NumberType> types{type};
+    // The shorter one first: in the middle of longer values begins no section.
+    std::vector<NumberType> types;
     if (typeName == "long") types.push_back(NumberType::kInt32);
     if (typeName == "unsigned_long") types.push_back(NumberType::kUInt32);
+    types.push_back(type);
     for (const NumberType tried : types) {
         const std::size_t size = sizeOf(tried), rowBytes = 3 * size;
         if (count > left / rowBytes) continue;
@@ -327,7 +329,7 @@ PositionArray readBinaryPoints(const ArrayFile& file, const VtkWalk& walk, std::
                                     {{{0, tried}, {size, tried}, {2 * size, tried}}},
                                     true});
     }
-    const std::uint64_t rowBytes = 3 * sizeOf(types.back());
+    const std::uint64_t rowBytes = 3 * sizeOf(type);
     if (count > left / rowBytes) {
         walk.failAt(walk.next, "POINTS promises " + std::to_string(count) + " points of " +
                                    std::to_string(rowBytes) + " bytes, but only " + std::to_string(left) +
