@@ -232,7 +232,6 @@ std::vector<unsigned char> gunzip(const ArrayFile& file)
 
 ReadArray parseBgeo(const ArrayFile& file)
 {
-    refuseChoice(file, ".bgeo");
     const bool isGzip =
         file.bytes.size() >= 2 && file.bytes.data()[0] == 0x1F && file.bytes.data()[1] == 0x8B;
     if (!isGzip) return BgeoReader(file).read();

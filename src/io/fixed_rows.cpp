@@ -86,15 +86,4 @@ void checkPointCount(const ArrayFile& file, std::uint64_t count, bool isDouble)
     checkPointsFit(file.path, count * 3 * (isDouble ? sizeof(double) : sizeof(float)), file.allowedBytes);
 }
 
-void refuseChoice(const ArrayFile& file, const char* extension)
-{
-    if (!file.choice.columns.empty()) {
-        throw InvalidInput(file.path + ": --columns does not apply to a " + extension +
-                           " file, which says itself what is x, y and z; leave it out");
-    }
-    if (!file.choice.array.empty()) {
-        throw InvalidInput(file.path + ": --array does not apply to a " + extension + " file; leave it out");
-    }
-}
-
 } // namespace vdb_nns

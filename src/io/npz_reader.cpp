@@ -14,8 +14,8 @@ namespace vdb_nns {
 
 namespace {
 
-constexpr std::uint32_t kEnd = 0x06054b50, kEnd64 = 0x06064b50, kEnd64Locator = 0x07064b50, kEntry = 0x02014b50,
-                        kLocal = 0x04034b50;
+constexpr std::uint32_t kEnd = 0x06054b50, kEnd64 = 0x06064b50, kEnd64Locator = 0x07064b50,
+                        kEntry = 0x02014b50, kLocal = 0x04034b50;
 constexpr std::uint16_t kStored = 0, kDeflated = 8, kEncrypted = 1, kZip64Field = 1;
 constexpr std::size_t kEndBytes = 22, kMostCommentBytes = 65535, kEntryBytes = 46, kLocalBytes = 30;
 // Deflate makes at most 1032 bytes of one.
@@ -54,12 +54,14 @@ public:
     {
         if (member.flags & kEncrypted) fail("a member that is not encrypted", member.localOffset);
         if (at<std::uint32_t>(member.localOffset) != kLocal) fail("a local header", member.localOffset);
-        const std::uint64_t begin = member.localOffset + kLocalBytes + at<std::uint16_t>(member.localOffset + 26) +
+        const std::uint64_t begin = member.localOffset + kLocalBytes +
+                                    at<std::uint16_t>(member.localOffset + 26) +
                                     at<std::uint16_t>(member.localOffset + 28);
         const unsigned char* const stored = take(begin, member.storedBytes);
         FileBytes bytes(stored, static_cast<std::size_t>(member.storedBytes));
         if (member.method == kDeflated) {
-            if (member.bytes / kMostExpansion > member.storedBytes) fail("a size that deflate can have", begin);
+            if (member.bytes / kMostExpansion > member.storedBytes)
+                fail("a size that deflate can have", begin);
             checkPointsFit(mFile.path, member.bytes, mFile.allowedBytes);
             storage.resize(static_cast<std::size_t>(member.bytes));
             inflateInto(bytes, storage, begin);
@@ -75,8 +77,8 @@ public:
 private:
     [[noreturn]] void fail(const std::string& expected, std::uint64_t at) const
     {
-        throw InputError(mFile.path + ": is no .npz file that can be read: expected " + expected + " at byte " +
-                         std::to_string(at) + "; copy it again or write it with numpy.savez");
+        throw InputError(mFile.path + ": is no .npz file that can be read: expected " + expected +
+                         " at byte " + std::to_string(at) + "; copy it again or write it with numpy.savez");
     }
 
     const unsigned char* take(std::uint64_t offset, std::uint64_t bytes) const
@@ -98,7 +100,8 @@ private:
     {
         const std::size_t size = mFile.bytes.size();
         for (std::size_t back = kEndBytes; back <= std::min(size, kEndBytes + kMostCommentBytes); ++back) {
-            if (at<std::uint32_t>(size - back) == kEnd && at<std::uint16_t>(size - back + 20) == back - kEndBytes)
+            if (at<std::uint32_t>(size - back) == kEnd &&
+                at<std::uint16_t>(size - back + 20) == back - kEndBytes)
                 return size - back;
         }
         fail("the end of a ZIP directory", size);
@@ -151,7 +154,8 @@ private:
         int status = Z_OK;
         while (status == Z_OK) {
             mFile.cancel.check();
-            const std::size_t in = std::min(kPiece, from.size() - taken), room = std::min(kPiece, out.size() - made);
+            const std::size_t in = std::min(kPiece, from.size() - taken),
+                              room = std::min(kPiece, out.size() - made);
             stream.next_in = const_cast<unsigned char*>(from.data() + taken);
             stream.avail_in = static_cast<uInt>(in);
             stream.next_out = out.data() + made;
@@ -170,7 +174,8 @@ private:
 const Member& choose(const ArrayFile& file, const std::vector<Member>& members)
 {
     std::string names;
-    for (const Member& member : members) names += (names.empty() ? "'" : ", '") + shownText(member.name) + "'";
+    for (const Member& member : members)
+        names += (names.empty() ? "'" : ", '") + shownText(member.name) + "'";
     if (members.empty()) throw InputError(file.path + ": the .npz file has no arrays");
     if (file.choice.array.empty()) {
         if (members.size() == 1) return members[0];
@@ -198,7 +203,8 @@ ReadArray parseNpz(const ArrayFile& file)
     if (parseNpy({path, bytes, file.choice, file.allowedBytes, file.cancel}, layout, result)) {
         const unsigned char* const first = bytes.data() + layout.dataOffset;
         const std::size_t count = 3 * layout.count;
-        checkPointsFit(file.path, count * (layout.isDouble ? sizeof(double) : sizeof(float)), file.allowedBytes);
+        checkPointsFit(file.path, count * (layout.isDouble ? sizeof(double) : sizeof(float)),
+                       file.allowedBytes);
         if (layout.isDouble) {
             result.positions.doubles.resize(count);
             if (count > 0) std::memcpy(result.positions.doubles.data(), first, count * sizeof(double));

@@ -2,6 +2,7 @@
 // knows the number of its first row, and then read in parallel to where they belong. Blank lines are no rows.
 #include "io/fixed_rows.h"
 #include "io/ply_body.h"
+#include "io/text_rows.h"
 #include "util/memory.h"
 
 #include <oneapi/tbb/parallel_for.h>
@@ -30,28 +31,22 @@ struct Chunk {
     const char* behindAll;
 };
 
-bool isPlyBlank(char c)
+const char* skipBlanks(const char* next, const char* end)
 {
-    return c == ' ' || c == '\t' || c == '\v' || c == '\f';
-}
-
-const char* skipPlyBlanks(const char* next, const char* end)
-{
-    while (next != end && isPlyBlank(*next)) ++next;
+    while (next != end && isBlank(*next)) ++next;
     return next;
 }
 
 const char* skipValue(const char* next, const char* end)
 {
-    while (next != end && !isPlyBlank(*next)) ++next;
+    while (next != end && !isBlank(*next)) ++next;
     return next;
 }
 
 std::uint64_t countValues(const char* next, const char* end)
 {
     std::uint64_t count = 0;
-    for (next = skipPlyBlanks(next, end); next != end; ++count)
-        next = skipPlyBlanks(skipValue(next, end), end);
+    for (next = skipBlanks(next, end); next != end; ++count) next = skipBlanks(skipValue(next, end), end);
     return count;
 }
 
@@ -154,7 +149,7 @@ private:
             const char* const found = findEndOfLine(line, chunk.end);
             const char* end = found;
             if (end != line && end[-1] == '\r') --end;
-            const char* const first = skipPlyBlanks(line, end);
+            const char* const first = skipBlanks(line, end);
             if (first != end && !use(first, end)) return;
             line = found == chunk.end ? found : found + 1;
         }
@@ -243,7 +238,7 @@ private:
             } else {
                 next = skipValue(next, end);
             }
-            next = skipPlyBlanks(next, end);
+            next = skipBlanks(next, end);
         }
         if (next != end) setWidthFault(vertex(), first, end, next, fault);
     }
@@ -279,15 +274,15 @@ private:
                                              shownText(element.name) + "' begins with"};
                     return;
                 }
-                next = skipPlyBlanks(next, end);
+                next = skipBlanks(next, end);
             } else if (out && mCoordinate[i] < 3) {
                 if (!readCoordinate(first, next, end, i, out, fault)) return;
-                next = skipPlyBlanks(next, end);
+                next = skipBlanks(next, end);
                 continue;
             }
             for (; values > 0; --values) {
                 if (next == end) return setWidthFault(element, first, end, nullptr, fault);
-                next = skipPlyBlanks(skipValue(next, end), end);
+                next = skipBlanks(skipValue(next, end), end);
             }
         }
         if (next != end) setWidthFault(element, first, end, next, fault);
@@ -367,7 +362,7 @@ private:
             if (isReal(property.type)) return false;
         }
         bool hasReal = false;
-        for (const char* next = line; next != end; next = skipPlyBlanks(next, end)) {
+        for (const char* next = line; next != end; next = skipBlanks(next, end)) {
             std::int64_t integer = 0;
             double real = 0;
             if (!readTextNumber<std::int64_t>(next, end, integer)) continue;

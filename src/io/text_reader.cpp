@@ -1,14 +1,13 @@
-// The .xyz reader: text, cut at line ends into chunks that are read in parallel.
-#include "io/array_readers.h"
-
+// The reader of text: rows of numbers, cut at line ends into chunks that are read in parallel. What the head says is found by
+// text_shape.h. All rows have as many fields as the first one; only those of the three columns must be numbers.
+#include "io/shown_text.h"
+#include "io/text_rows.h"
+#include "io/text_shape.h"
 #include "vdb_nns/error.h"
 
 #include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
-#include <charconv>
-#include <cstdlib>
-#include <cstring>
 #include <optional>
 #include <utility>
 
@@ -20,96 +19,69 @@ namespace {
 constexpr std::size_t kChunkBytes = std::size_t(1) << 20;
 
 struct Fault {
-    std::size_t byte; // offset in the file
+    const char* line;
     std::string what;
 };
 
 struct Chunk {
     const char* begin;
     const char* end;
-    std::size_t points;
-    std::vector<double> values;
+    std::size_t rows = 0, firstRow = 0;
     std::optional<Fault> fault; // the first one of the chunk
 };
 
-bool isBlank(char c)
-{
-    return c == ' ' || c == '\t' || c == '\r' || c == '\v' || c == '\f';
-}
-
-const char* skipBlanks(const char* next, const char* end)
-{
-    while (next != end && isBlank(*next)) ++next;
-    return next;
-}
-
-const char* findLineEnd(const char* next, const char* end)
-{
-    const void* const newline = std::memchr(next, '\n', static_cast<std::size_t>(end - next));
-    return newline ? static_cast<const char*>(newline) : end;
-}
-
-std::string shown(const char* begin, const char* end)
-{
-    std::string text;
-    for (const char* c = begin; c != end && text.size() < 40; ++c) text += *c >= 32 && *c < 127 ? *c : '?';
-    return "'" + text + "'";
-}
-
-// Reads one number; advances `next` behind it. Returns what is wrong, or null.
-const char* readNumber(const char*& next, const char* end, double& value)
-{
-    next = skipBlanks(next, end);
-    if (next == end || *next == '#') return "has fewer than three numbers";
-    const char* first = next;
-    if (*first == '+' && first + 1 != end && first[1] != '-') ++first; // from_chars takes no plus sign
-    const std::from_chars_result result = std::from_chars(first, end, value);
-    if (result.ec == std::errc::invalid_argument) return "has something that is not a number";
-    if (result.ptr != end && !isBlank(*result.ptr) && *result.ptr != '#') {
-        return "has something that is not a number";
-    }
-    if (result.ec == std::errc::result_out_of_range) {
-        // Too small is rounded to the nearest double, which strtod does; too large has none.
-        value = std::strtod(std::string(first, result.ptr).c_str(), nullptr);
-        if (value > 1 || value < -1) return "has a number beyond the range of double (1.8e308)";
-    }
-    next = result.ptr;
-    return nullptr;
-}
-
-// Calls use(line, first, lineEnd) for each line that is neither blank nor a comment, with the first character that says
-// something, until it returns false.
+// Calls use(line, text) for each line that is neither blank nor a comment, until it returns false.
 template <typename Use>
-void forEachDataLine(const char* begin, const char* end, const Use& use)
+void forEachRow(const char* begin, const char* end, const Use& use)
 {
     for (const char* line = begin; line != end;) {
         const char* const lineEnd = findLineEnd(line, end);
-        const char* const first = skipBlanks(line, lineEnd);
-        if (first != lineEnd && *first != '#' && !use(line, first, lineEnd)) return;
-        line = lineEnd == end ? lineEnd : lineEnd + 1;
+        const char* first = line;
+        while (first != lineEnd && isBlank(*first)) ++first;
+        if (first != lineEnd && *first != '#' &&
+            !use(line, std::string_view(first, static_cast<std::size_t>(lineEnd - first))))
+            return;
+        line = afterLineEnd(lineEnd, end);
     }
 }
 
-void countPoints(Chunk& chunk)
+std::string columnFault(std::uint32_t column, std::string_view field, NumberText read)
 {
-    forEachDataLine(chunk.begin, chunk.end, [&](const char*, const char*, const char*) {
-        ++chunk.points;
-        return true;
-    });
+    const std::string is = "has '" + shownText(field) + "' in column " + std::to_string(column);
+    if (read == NumberText::kEmpty) return "has nothing in column " + std::to_string(column);
+    if (read == NumberText::kTooLarge) return is + ", which is beyond the range of double (1.8e308)";
+    return is + ", which is not a number";
 }
 
-void readChunk(Chunk& chunk, const char* fileBegin)
+// Reads a row of the shape; what is wrong with it, if anything.
+std::optional<std::string> readRow(const TextShape& shape, std::string_view text, double* out)
 {
-    chunk.values.reserve(3 * chunk.points);
-    forEachDataLine(chunk.begin, chunk.end, [&](const char* line, const char* next, const char* lineEnd) {
+    FieldSplitter splitter(withoutComment(text), shape.separator);
+    std::optional<std::string> fault;
+    std::size_t width = 0;
+    for (std::string_view field; splitter.next(field); ++width) {
         for (int k = 0; k < 3; ++k) {
-            double value = 0;
-            if (const char* const what = readNumber(next, lineEnd, value)) {
-                chunk.fault = Fault{static_cast<std::size_t>(line - fileBegin), what};
-                return false;
-            }
-            chunk.values.push_back(value);
+            if (shape.columns[k] != width) continue;
+            const NumberText read = readNumber(field, out[k]);
+            if (read != NumberText::kNumber && !fault) fault = columnFault(shape.columns[k], field, read);
         }
+    }
+    if (width != shape.width) {
+        return "has " + std::to_string(width) + " columns, and the first row has " +
+               std::to_string(shape.width);
+    }
+    return fault;
+}
+
+void readChunk(const TextShape& shape, Chunk& chunk, double* out)
+{
+    out += 3 * chunk.firstRow;
+    forEachRow(chunk.begin, chunk.end, [&](const char* line, std::string_view text) {
+        if (std::optional<std::string> what = readRow(shape, text, out)) {
+            chunk.fault = Fault{line, std::move(*what)};
+            return false;
+        }
+        out += 3;
         return true;
     });
 }
@@ -119,85 +91,62 @@ std::vector<Chunk> cutIntoChunks(const char* begin, const char* end)
     std::vector<Chunk> chunks;
     while (begin != end) {
         const char* cut = end;
-        if (static_cast<std::size_t>(end - begin) > kChunkBytes) {
-            cut = findLineEnd(begin + kChunkBytes, end);
-            if (cut != end) ++cut;
-        }
-        chunks.push_back({begin, cut, 0, {}, std::nullopt});
+        if (static_cast<std::size_t>(end - begin) > kChunkBytes)
+            cut = afterLineEnd(findLineEnd(begin + kChunkBytes, end), end);
+        chunks.push_back({begin, cut, 0, 0, std::nullopt});
         begin = cut;
     }
     return chunks;
-}
-
-// Whether the first line that says something is one integer and nothing else.
-void refuseCountLine(const std::string& path, const char* begin, const char* end)
-{
-    forEachDataLine(begin, end, [&](const char* line, const char* first, const char* lineEnd) {
-        const char* last = first + (*first == '+' || *first == '-' ? 1 : 0);
-        while (last != lineEnd && *last >= '0' && *last <= '9') ++last;
-        const char* const rest = skipBlanks(last, lineEnd);
-        if (last != first && (rest == lineEnd || *rest == '#')) {
-            throw InputError(
-                path + ": line " + std::to_string(1 + std::count(begin, line, '\n')) + " is one integer, " +
-                shown(first, last) +
-                ", as in chemistry's .xyz, which is not supported; remove the count, the comment " +
-                "line and the names so that each line has three numbers");
-        }
-        return false;
-    });
 }
 
 } // namespace
 
 ReadArray parseText(const ArrayFile& file)
 {
-    const std::string& path = file.path;
-    const FileBytes bytes = file.bytes;
-    const CancelCheck& cancel = file.cancel;
-    const char* const begin = reinterpret_cast<const char*>(bytes.data());
-    const char* const end = begin + bytes.size();
-    refuseCountLine(path, begin, end);
-
-    std::vector<Chunk> chunks = cutIntoChunks(begin, end);
+    const char* const begin = reinterpret_cast<const char*>(file.bytes.data());
+    TextShape shape = findTextShape(file);
+    std::vector<Chunk> chunks = cutIntoChunks(shape.begin, shape.end);
     const auto forEachChunk = [&](const auto& use) {
         tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t i) {
-            cancel.check();
-            use(i);
+            file.cancel.check();
+            use(chunks[i]);
         });
     };
-    forEachChunk([&](std::size_t i) { countPoints(chunks[i]); });
-    std::uint64_t points = 0;
-    for (const Chunk& chunk : chunks) points += chunk.points;
-    // Read by chunks, then put together.
-    checkPointsFit(path, 2 * points * 3 * sizeof(double), file.allowedBytes);
-    forEachChunk([&](std::size_t i) { readChunk(chunks[i], begin); });
-
-    PositionArray result;
-    std::vector<std::size_t> starts(1, 0);
-    for (const Chunk& chunk : chunks) {
-        if (chunk.fault) {
-            const char* const line = begin + chunk.fault->byte;
-            throw InputError(path + ": line " + std::to_string(1 + std::count(begin, line, '\n')) +
-                             " (byte " + std::to_string(chunk.fault->byte) + ") " + chunk.fault->what + ": " +
-                             shown(line, findLineEnd(line, end)) +
-                             "; a line is x y z, with spaces or tabs between");
-        }
-        starts.push_back(starts.back() + chunk.values.size());
+    forEachChunk([](Chunk& chunk) {
+        forEachRow(chunk.begin, chunk.end, [&](const char*, std::string_view) { return ++chunk.rows > 0; });
+    });
+    std::size_t rows = 0;
+    for (Chunk& chunk : chunks) {
+        chunk.firstRow = rows;
+        rows += chunk.rows;
     }
-    if (starts.back() / 3 > kMaxFilePoints) {
-        throw InputError(path + ": " + std::to_string(starts.back() / 3) + " points are more than the " +
+    if (rows > kMaxFilePoints) {
+        throw InputError(file.path + ": " + std::to_string(rows) + " points are more than the " +
                          std::to_string(kMaxFilePoints) + " that fit; split the file");
     }
-    result.doubles.reserve(starts.back());
-    for (const std::size_t start : starts) {
-        cancel.check();
-        result.doubles.resize(start);
+    if (shape.count && *shape.count != rows) {
+        throw InputError(file.path + ": line " + std::to_string(shape.countLine) + " counts " +
+                         std::to_string(*shape.count) + " points, and " + std::to_string(rows) +
+                         " rows follow; correct the count or leave it out");
     }
-    forEachChunk([&](std::size_t i) {
-        std::copy(chunks[i].values.begin(), chunks[i].values.end(), result.doubles.begin() + starts[i]);
-        std::vector<double>().swap(chunks[i].values);
-    });
-    return {std::move(result), {}, {}};
+    checkPointsFit(file.path, rows * 3 * sizeof(double), file.allowedBytes);
+    ReadArray result;
+    result.positions.doubles.resize(3 * rows);
+    forEachChunk([&](Chunk& chunk) { readChunk(shape, chunk, result.positions.doubles.data()); });
+    for (const Chunk& chunk : chunks) {
+        if (!chunk.fault) continue;
+        const char* const line = chunk.fault->line;
+        const char* const lineEnd = findLineEnd(line, shape.end);
+        throw InputError(
+            file.path + ": line " + std::to_string(lineNumber(begin, line)) + " (byte " +
+            std::to_string(line - begin) + ") " + chunk.fault->what + ": '" +
+            shownText({line, static_cast<std::size_t>(lineEnd - line)}) +
+            "'; a row is x y z, with blanks, tabs, commas or semicolons between, and other columns "
+            "are chosen with --columns");
+    }
+    result.taken = std::move(shape.taken);
+    result.notes = std::move(shape.notes);
+    return result;
 }
 
 } // namespace vdb_nns

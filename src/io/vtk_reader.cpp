@@ -469,7 +469,6 @@ private:
 
 ReadArray parseVtk(const ArrayFile& file)
 {
-    refuseChoice(file, ".vtk");
     VtkWalk walk(file);
     walk.readHead();
     std::string typeName;

@@ -4,6 +4,6 @@
 extern "C" int LLVMFuzzerTestOneInput(const unsigned char* data, std::size_t size)
 {
     return vdb_nns::readFuzzed(data, size, [](const vdb_nns::ArrayFile& file) {
-        if (file.choice.columns.empty()) vdb_nns::parseVtk(file); // whatever else is chosen is refused
+        if (file.choice.columns.empty()) vdb_nns::parseVtk(file); // a choice changes nothing
     });
 }

@@ -98,7 +98,7 @@ int verifyFile(const VerifyFlags& flags, const VerifyOptions& options, Session& 
     const Stopwatch watch;
     ProgressPrinter progress(progressMode(flags.common));
     progress.begin("read", 0, 0.2);
-    const PointFile file = PointFile::read(flags.input.path, {flags.input.grid, 0, &progress});
+    const PointFile file = PointFile::read(flags.input.path, pointFileOptions(flags.input, 0, &progress));
     session.path = flags.input.path;
     session.grid = flags.input.grid;
     session.otherPath = flags.lists;
