@@ -1,6 +1,7 @@
 // Columns are converted one after the other in blocks of rows that stay in a core's cache.
 #include "io/fixed_rows.h"
 
+#include "util/memory.h"
 #include "vdb_nns/error.h"
 
 #include <oneapi/tbb/parallel_for.h>
@@ -52,7 +53,7 @@ void convertRows(const ArrayFile& file, const FixedRows& rows, std::size_t begin
 template <typename Real>
 void readAll(const ArrayFile& file, const FixedRows& rows, std::vector<Real>& out)
 {
-    out.resize(3 * rows.count);
+    resizeOnHugePages(out, 3 * rows.count);
     const std::size_t taskRows = kBlockRows * kTaskBlocks;
     tbb::parallel_for(std::size_t(0), (rows.count + taskRows - 1) / taskRows, [&](std::size_t task) {
         file.cancel.check();
@@ -83,17 +84,6 @@ void checkPointCount(const ArrayFile& file, std::uint64_t count, bool isDouble)
                          std::to_string(kMaxFilePoints) + " that fit; split the file");
     }
     checkPointsFit(file.path, count * 3 * (isDouble ? sizeof(double) : sizeof(float)), file.allowedBytes);
-}
-
-void refuseChoice(const ArrayFile& file, const char* extension)
-{
-    if (!file.choice.columns.empty()) {
-        throw InvalidInput(file.path + ": --columns does not apply to a " + extension +
-                           " file, which says itself what is x, y and z; leave it out");
-    }
-    if (!file.choice.array.empty()) {
-        throw InvalidInput(file.path + ": --array does not apply to a " + extension + " file; leave it out");
-    }
 }
 
 } // namespace vdb_nns

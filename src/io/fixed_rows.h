@@ -27,7 +27,4 @@ PositionArray readFixedRows(const ArrayFile& file, const FixedRows& rows);
 // Throws InputError unless that many points can be numbered, CapacityError unless they fit the memory allowed.
 void checkPointCount(const ArrayFile& file, std::uint64_t count, bool isDouble);
 
-// Throws InvalidInput if columns or an array were chosen, which this format names itself.
-void refuseChoice(const ArrayFile& file, const char* extension);
-
 } // namespace vdb_nns

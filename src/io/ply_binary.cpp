@@ -2,7 +2,7 @@
 #include "io/fixed_rows.h"
 #include "io/ply_body.h"
 
-#include <optional>
+#include <algorithm>
 
 namespace vdb_nns {
 
@@ -26,7 +26,8 @@ public:
 
     std::size_t next;
     const char* what = nullptr;
-    std::uint64_t rowsLeft = kUnlimitedRows; // that may be walked over one by one
+    std::uint64_t rowsLeft = kUnlimitedRows;   // that may be walked over one by one
+    std::uint64_t indexLimit = kUnlimitedRows; // less: lists have values, and faces vertices of such numbers
 
     bool skipElement(const PlyElement& element)
     {
@@ -55,8 +56,11 @@ public:
         const std::int64_t length = withNumberType(property.countType, [&](auto zero) {
             return static_cast<std::int64_t>(loadNumber<decltype(zero)>(mBytes.data() + start, mIsBigEndian));
         });
-        if (length >= 0)
-            return skipBytes(static_cast<std::uint64_t>(length) * sizeOf(property.type)); // < 2^35
+        if (length >= 0) {
+            const std::size_t first = next;
+            return skipBytes(static_cast<std::uint64_t>(length) * sizeOf(property.type)) && // < 2^35
+                   (indexLimit == kUnlimitedRows || isPlausible(property, first, length));
+        }
         next = start;
         return stop("the length of a list is negative");
     }
@@ -81,6 +85,22 @@ private:
     {
         what = why;
         return false;
+    }
+
+    bool isPlausible(const PlyProperty& property, std::size_t first, std::int64_t length)
+    {
+        if (length == 0) return stop("a list is empty");
+        if (property.name.compare(0, 10, "vertex_ind") != 0 || isReal(property.type)) return true;
+        if (length < 3) return stop("a face has less than three vertices");
+        return withNumberType(property.type, [&](auto zero) {
+            for (std::int64_t i = 0; i < length; ++i) {
+                const std::size_t at = first + static_cast<std::size_t>(i) * sizeof zero;
+                const auto index = loadNumber<decltype(zero)>(mBytes.data() + at, mIsBigEndian);
+                if (index < zero || static_cast<std::uint64_t>(index) >= indexLimit)
+                    return stop("a face has a vertex that is not there");
+            }
+            return true;
+        });
     }
 
     bool skipBytes(std::uint64_t count)
@@ -177,60 +197,66 @@ private:
     void checkLaterElements(std::size_t end, std::size_t begin, ReadArray& result) const
     {
         RowWalk walk(mBody, end);
-        if (skipLaterElements(walk)) {
-            if (walk.next != mFile.bytes.size()) failLeftOver(walk.next, begin);
-            return;
-        }
-        if (const std::optional<std::string> hidden = findHiddenValues(begin, end)) {
-            throw InputError(mFile.path + ": " + *hidden +
-                             " than the .ply header declares; element 'vertex' begins at byte " +
-                             std::to_string(begin) + "; write a header that declares all there is");
-        }
+        const bool isWhole = skipLaterElements(walk);
+        if (isWhole && walk.next == mFile.bytes.size()) return;
+        if (mBody.vertex + 1 == mBody.header.elements.size()) failLeftOver(end, begin, surplusHint(end));
+        const std::string hidden = findHiddenValues(begin, end);
+        if (!hidden.empty() || isWhole) failLeftOver(hidden.empty() ? walk.next : end, begin, hidden);
         result.notes.push_back(forgivenNote(mBody, walk.what, "byte " + std::to_string(walk.next)));
     }
 
-    // What is too much a row, if the elements behind the vertices do not end where the file does, but would if each vertex
-    // held some bytes more, or if there were more of them.
-    std::optional<std::string> findHiddenValues(std::size_t begin, std::size_t end) const
+    // What is too much, if the elements behind the vertices do not end where the file does, but would if each vertex held some
+    // bytes more, or if there were more of them.
+    std::string findHiddenValues(std::size_t begin, std::size_t end) const
     {
-        const std::uint64_t left = mFile.bytes.size() - end;
+        if (mVertex.count == 0 || mVertex.hasLists()) return {};
+        const std::uint64_t left = mFile.bytes.size() - end, rowBytes = (end - begin) / mVertex.count;
         std::uint64_t rowsLeft = kSearchedRows;
-        const auto fits = [&](std::uint64_t bytes) {
+        const auto fits = [&](std::uint64_t bytes, std::uint64_t vertices) {
             RowWalk walk(mBody, end + static_cast<std::size_t>(bytes));
             walk.rowsLeft = rowsLeft;
+            walk.indexLimit = vertices;
             const bool isWhole = skipLaterElements(walk) && walk.next == mFile.bytes.size();
             rowsLeft = walk.rowsLeft == kUnlimitedRows ? 0 : walk.rowsLeft - (walk.rowsLeft > 0);
             return isWhole;
         };
-        if (mVertex.count == 0 || mVertex.hasLists()) return std::nullopt;
-        for (std::uint64_t hidden = 1;
-             hidden <= kMostHiddenBytes && hidden <= left / mVertex.count && rowsLeft > 0; ++hidden) {
-            if (fits(hidden * mVertex.count))
-                return "each row of element 'vertex' holds " + std::to_string(hidden) + " bytes more";
-        }
-        const std::uint64_t rowBytes = (end - begin) / mVertex.count;
-        for (std::uint64_t rows = 1; rows <= left / rowBytes && rowsLeft > 0; ++rows) {
-            if (fits(rows * rowBytes)) return "element 'vertex' has " + std::to_string(rows) + " rows more";
-        }
-        return std::nullopt;
-    }
-
-    [[noreturn]] void failLeftOver(std::size_t end, std::size_t begin) const
-    {
-        const std::uint64_t left = mFile.bytes.size() - end;
-        const std::uint64_t rowBytes = mVertex.minRowBytes(mBody.header.format);
-        std::string hint;
-        if (mVertex.count > 0 && !mVertex.hasLists() && left % rowBytes == 0) {
-            hint = ", as many as " + std::to_string(left / rowBytes) + " rows more";
-        } else if (mVertex.count > 0 && left % mVertex.count == 0) {
-            hint = ", " + std::to_string(left / mVertex.count) +
+        const auto rowsMore = [&](std::uint64_t bytes) {
+            return ", counting " + std::to_string(bytes / rowBytes) + " rows more";
+        };
+        const std::uint64_t mostHidden = std::min(kMostHiddenBytes, left / mVertex.count);
+        for (std::uint64_t hidden = 1; hidden <= mostHidden && rowsLeft > 0; ++hidden) {
+            const std::uint64_t bytes = hidden * mVertex.count;
+            if (!fits(bytes, mVertex.count)) continue;
+            if (bytes % rowBytes == 0) return rowsMore(bytes);
+            return ", counting " + std::to_string(hidden) +
                    " for each vertex, as if rows held more properties";
         }
-        throw InputError(mFile.path + ": " + std::to_string(left) +
+        for (std::uint64_t bytes = rowBytes; bytes <= left && rowsLeft > 0; bytes += rowBytes) {
+            if (fits(bytes, mVertex.count + bytes / rowBytes)) return rowsMore(bytes);
+        }
+        return {};
+    }
+
+    // The same where no element follows.
+    std::string surplusHint(std::size_t end) const
+    {
+        if (mVertex.count == 0 || mVertex.hasLists()) return {};
+        const std::uint64_t left = mFile.bytes.size() - end,
+                            rowBytes = mVertex.minRowBytes(mBody.header.format);
+        if (left % rowBytes == 0) return ", as many as " + std::to_string(left / rowBytes) + " rows more";
+        if (left % mVertex.count != 0) return {};
+        return ", " + std::to_string(left / mVertex.count) +
+               " for each vertex, as if rows held more properties";
+    }
+
+    [[noreturn]] void failLeftOver(std::size_t end, std::size_t begin, const std::string& hint) const
+    {
+        throw InputError(mFile.path + ": " + std::to_string(mFile.bytes.size() - end) +
                          " bytes are left over behind the last row, from byte " + std::to_string(end) +
                          " on" + hint + ": the .ply header declares " + std::to_string(mVertex.count) +
                          " rows of element 'vertex' of " + (mVertex.hasLists() ? "at least " : "") +
-                         std::to_string(rowBytes) + " bytes from byte " + std::to_string(begin) +
+                         std::to_string(mVertex.minRowBytes(mBody.header.format)) + " bytes from byte " +
+                         std::to_string(begin) +
                          " on; write a header that declares all there is, or copy the file again");
     }
 

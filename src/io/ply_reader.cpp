@@ -46,7 +46,6 @@ std::string takenProperties(const PlyBody& body)
 
 ReadArray parsePly(const ArrayFile& file)
 {
-    refuseChoice(file, ".ply");
     const PlyHeader header = PlyHeaderReader(file.path, file.bytes).read();
     const auto vertex = std::find_if(header.elements.begin(), header.elements.end(),
                                      [](const PlyElement& element) { return element.name == "vertex"; });

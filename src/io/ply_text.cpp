@@ -2,6 +2,8 @@
 // knows the number of its first row, and then read in parallel to where they belong. Blank lines are no rows.
 #include "io/fixed_rows.h"
 #include "io/ply_body.h"
+#include "io/text_rows.h"
+#include "util/memory.h"
 
 #include <oneapi/tbb/parallel_for.h>
 
@@ -29,28 +31,22 @@ struct Chunk {
     const char* behindAll;
 };
 
-bool isPlyBlank(char c)
+const char* skipBlanks(const char* next, const char* end)
 {
-    return c == ' ' || c == '\t' || c == '\v' || c == '\f';
-}
-
-const char* skipPlyBlanks(const char* next, const char* end)
-{
-    while (next != end && isPlyBlank(*next)) ++next;
+    while (next != end && isBlank(*next)) ++next;
     return next;
 }
 
 const char* skipValue(const char* next, const char* end)
 {
-    while (next != end && !isPlyBlank(*next)) ++next;
+    while (next != end && !isBlank(*next)) ++next;
     return next;
 }
 
 std::uint64_t countValues(const char* next, const char* end)
 {
     std::uint64_t count = 0;
-    for (next = skipPlyBlanks(next, end); next != end; ++count)
-        next = skipPlyBlanks(skipValue(next, end), end);
+    for (next = skipBlanks(next, end); next != end; ++count) next = skipBlanks(skipValue(next, end), end);
     return count;
 }
 
@@ -66,6 +62,11 @@ bool readLength(const char*& next, const char* end, std::uint64_t& length)
 std::string quoted(const char* begin, const char* end)
 {
     return "'" + shownText({begin, static_cast<std::size_t>(end - begin)}) + "'";
+}
+
+std::string counted(std::uint64_t count, const char* what)
+{
+    return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
 }
 
 class TextBody {
@@ -148,7 +149,7 @@ private:
             const char* const found = findEndOfLine(line, chunk.end);
             const char* end = found;
             if (end != line && end[-1] == '\r') --end;
-            const char* const first = skipPlyBlanks(line, end);
+            const char* const first = skipBlanks(line, end);
             if (first != end && !use(first, end)) return;
             line = found == chunk.end ? found : found + 1;
         }
@@ -185,7 +186,7 @@ private:
     template <typename Real>
     void readRows(std::vector<Real>& out)
     {
-        out.resize(static_cast<std::size_t>(vertex().count) * 3);
+        resizeOnHugePages(out, static_cast<std::size_t>(vertex().count) * 3);
         forEachChunk([&](Chunk& chunk) { readChunk(chunk, out.data()); });
         for (const Chunk& chunk : mChunks) {
             if (chunk.fault) failAtLine(chunk.fault->line, chunk.fault->what);
@@ -237,7 +238,7 @@ private:
             } else {
                 next = skipValue(next, end);
             }
-            next = skipPlyBlanks(next, end);
+            next = skipBlanks(next, end);
         }
         if (next != end) setWidthFault(vertex(), first, end, next, fault);
     }
@@ -273,15 +274,15 @@ private:
                                              shownText(element.name) + "' begins with"};
                     return;
                 }
-                next = skipPlyBlanks(next, end);
+                next = skipBlanks(next, end);
             } else if (out && mCoordinate[i] < 3) {
                 if (!readCoordinate(first, next, end, i, out, fault)) return;
-                next = skipPlyBlanks(next, end);
+                next = skipBlanks(next, end);
                 continue;
             }
             for (; values > 0; --values) {
                 if (next == end) return setWidthFault(element, first, end, nullptr, fault);
-                next = skipPlyBlanks(skipValue(next, end), end);
+                next = skipBlanks(skipValue(next, end), end);
             }
         }
         if (next != end) setWidthFault(element, first, end, next, fault);
@@ -291,11 +292,10 @@ private:
     void setWidthFault(const PlyElement& element, const char* first, const char* end, const char* surplus,
                        std::optional<Fault>& fault) const
     {
-        std::string what = " has " + std::to_string(countValues(first, end)) +
-                           " values: " + quoted(first, end) + "; the header declares ";
+        std::string what = " has " + counted(countValues(first, end), "value") + ": " + quoted(first, end) +
+                           "; the header declares ";
         if (element.hasLists()) {
-            what += "lists, and with them the row has ";
-            what += surplus ? "fewer" : "more";
+            what += surplus ? "fewer, lists included," : "more, lists included,";
         } else {
             what += std::to_string(element.properties.size());
         }
@@ -304,8 +304,8 @@ private:
             what += (i ? " " : "") + shownText(element.properties[i].name);
         what += ")";
         if (surplus) {
-            what += "; " + std::to_string(countValues(surplus, end)) + " values, " +
-                    std::to_string(end - surplus) + " bytes, are left over behind the last one";
+            what += "; left over behind the last one: " + counted(countValues(surplus, end), "value") + ", " +
+                    counted(static_cast<std::uint64_t>(end - surplus), "byte");
         } else if (end == mEnd) {
             what += "; the file is truncated";
         }
@@ -362,7 +362,7 @@ private:
             if (isReal(property.type)) return false;
         }
         bool hasReal = false;
-        for (const char* next = line; next != end; next = skipPlyBlanks(next, end)) {
+        for (const char* next = line; next != end; next = skipBlanks(next, end)) {
             std::int64_t integer = 0;
             double real = 0;
             if (!readTextNumber<std::int64_t>(next, end, integer)) continue;
@@ -412,9 +412,10 @@ private:
     {
         failAtLine(line, ", " + quoted(line, endOfLineAt(line)) +
                              ", stands behind the last row that the .ply header declares: " +
-                             std::to_string(lines - mFirstRow.back()) + " lines or " +
-                             std::to_string(mEnd - line) + " bytes are left over behind the " +
-                             std::to_string(mFirstRow.back()) + " rows; correct the counts of the header");
+                             counted(lines - mFirstRow.back(), "line") + ", " +
+                             counted(static_cast<std::uint64_t>(mEnd - line), "byte") +
+                             ", left over behind " + counted(mFirstRow.back(), "row") +
+                             "; correct the counts of the header");
     }
 
     std::uint64_t lineNumberOf(const char* place) const
