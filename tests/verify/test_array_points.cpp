@@ -1,4 +1,5 @@
-// The readers of `vdb_nns verify` for arrays and texts: every form that is read, small and by hand, and what is refused.
+// The readers of `vdb_nns verify` for arrays and texts: every form that is read, small and by hand, and what
+// is refused.
 #include "../support/lists_writer.h"
 #include "vdb_nns/error.h"
 #include "verify/array_points.h"
@@ -83,7 +84,7 @@ const std::string kXyz = "property float x\nproperty float y\nproperty float z\n
 
 } // namespace
 
-// ---------------------------------------------------------------------------------------------------- text
+// ------------------------------------------------------------------------------------------------ text
 
 TEST_F(ArrayPoints, LinesAndSeparators)
 {
@@ -147,7 +148,7 @@ TEST_F(ArrayPoints, NumbersOfText)
         refuses("xyz", text);
 }
 
-// ---------------------------------------------------------------------------------------------------- npy
+// ------------------------------------------------------------------------------------------------ npy
 
 TEST_F(ArrayPoints, Npy)
 {
@@ -213,7 +214,7 @@ TEST_F(ArrayPoints, Npz)
     refuses("npz", damaged);
 }
 
-// ---------------------------------------------------------------------------------------------------- ply
+// ------------------------------------------------------------------------------------------------ ply
 
 TEST_F(ArrayPoints, PlyText)
 {
@@ -261,7 +262,7 @@ TEST_F(ArrayPoints, PlyBinary)
     refuses("ply", ply("binary_big_endian", "element vertex 2\n" + kXyz, points));
 }
 
-// ---------------------------------------------------------------------------------------------------- vtk, bgeo
+// ------------------------------------------------------------------------------------------------ vtk, bgeo
 
 TEST_F(ArrayPoints, Vtk)
 {
@@ -326,7 +327,7 @@ TEST_F(ArrayPoints, OtherFiles)
         EXPECT_THROW(cli::readArrayPoints("/nonexistent/a."s + extension), InputError);
 }
 
-// ---------------------------------------------------------------------------------------------------- disagreement
+// ------------------------------------------------------------------------------------------------ disagreement
 
 TEST_F(ArrayPoints, DifferenceIsFoundAndNamed)
 {

@@ -1,5 +1,5 @@
-// Random files of each kind that are valid: the engine's reader and that of `verify`, which share no code, find what each file
-// was made of.
+// Random files of each kind that are valid: the engine's reader and that of `verify`, which share no code,
+// find what each file was made of.
 #include "../support/array_file.h"
 #include "../support/lists_writer.h"
 #include "vdb_nns/point_file.h"
@@ -128,7 +128,7 @@ std::string swapped(std::string raw)
 
 const char* const kNumberTypes[] = {"f2", "f4", "f8", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"};
 
-// ---------------------------------------------------------------------------------------------------- text
+// ------------------------------------------------------------------------------------------------ text
 
 std::string microsoftText(Maker& maker, const MadeNumber& number)
 {
@@ -206,7 +206,7 @@ MadeFile makeText(Maker& maker)
     return file;
 }
 
-// ---------------------------------------------------------------------------------------------------- npy
+// ------------------------------------------------------------------------------------------------ npy
 
 std::string npyBytes(Maker& maker, const std::string& descr, bool isFortran, const std::string& shape,
                      const std::string& values)
@@ -297,7 +297,7 @@ MadeFile makeNpz(Maker& maker)
     return file;
 }
 
-// ---------------------------------------------------------------------------------------------------- ply
+// ------------------------------------------------------------------------------------------------ ply
 
 const std::array<const char*, 2> kPlyNames[] = {
     {{"char", "int8"}}, {{"uchar", "uint8"}}, {{"short", "int16"}},   {{"ushort", "uint16"}},
@@ -392,7 +392,7 @@ MadeFile makePly(Maker& maker)
     return PlyMaker(maker).make();
 }
 
-// ---------------------------------------------------------------------------------------------------- vtk, bgeo
+// ------------------------------------------------------------------------------------------------ vtk, bgeo
 
 MadeFile makeVtk(Maker& maker)
 {
@@ -463,7 +463,7 @@ MadeFile makeBgeo(Maker& maker)
     return file;
 }
 
-// ---------------------------------------------------------------------------------------------------- all kinds
+// ------------------------------------------------------------------------------------------------ all kinds
 
 Positions enginePositions(const std::string& path, const MadeFile& file)
 {

@@ -1,5 +1,6 @@
 #include "array_points.h"
 
+#include "file_pieces.h"
 #include "point_formats.h"
 #include "throw_if_cancelled.h"
 #include "vdb_nns/error.h"
@@ -9,8 +10,6 @@
 #include <cmath>
 #include <cstdio>
 #include <cstring>
-#include <fstream>
-#include <iterator>
 
 namespace vdb_nns::cli {
 
@@ -69,12 +68,9 @@ void PointInput::checkCancelled() const
 
 std::string PointInput::bytes() const
 {
-    std::ifstream stream(path, std::ios::binary | std::ios::ate);
-    if (!stream) fail("cannot be opened");
-    std::string bytes(static_cast<std::size_t>(stream.tellg()), '\0');
-    stream.seekg(0);
-    stream.read(bytes.data(), static_cast<std::streamsize>(bytes.size()));
-    if (!stream) fail("cannot be read to its end");
+    const FilePieces file(path);
+    std::string bytes(static_cast<std::size_t>(file.size()), '\0');
+    file.read(0, bytes.data(), bytes.size());
     return bytes;
 }
 

@@ -1,7 +1,7 @@
-// Houdini's classic .bgeo, version 5, plain or in gzip (Partio's and SideFX's descriptions). All numbers are big-endian:
-// "Bgeo", 'V', the version; the numbers of points, primitives, point groups, primitive groups, and of the attributes of points,
-// vertices, primitives and the whole; a description of each attribute of points; and then for each point x y z w and its
-// attributes, 4 bytes a value.
+// Houdini's classic .bgeo, version 5, plain or in gzip (Partio's and SideFX's descriptions). All numbers are
+// big-endian: "Bgeo", 'V', the version; the numbers of points, primitives, point groups, primitive groups,
+// and of the attributes of points, vertices, primitives and the whole; a description of each attribute of
+// points; and then for each point x y z w and its attributes, 4 bytes a value.
 #include "file_numbers.h"
 #include "point_formats.h"
 
@@ -74,7 +74,8 @@ private:
 
     void skipText() { skip(static_cast<std::uint64_t>(next('u', 2))); }
 
-    // The number of its values: floats, integers or vectors with a default each, or strings by their number in a list.
+    // The number of its values: floats, integers or vectors with a default each, or strings by their number
+    // in a list.
     std::uint64_t readAttribute()
     {
         skipText(); // its name

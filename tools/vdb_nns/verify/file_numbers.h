@@ -15,12 +15,13 @@ struct NumberType {
 // Of one of the kinds and sizes above.
 bool isNumberType(NumberType type);
 
-// The value of the number that begins at `first`. Nothing for an integer beyond 2^53 on either side of 0: not every one is a
-// double.
+// The value of the number that begins at `first`. Nothing for an integer beyond 2^53 on either side of 0: not
+// every one is a double.
 std::optional<double> numberAt(const char* first, NumberType type, bool isBigEndian);
 
-// The double nearest to a text that is a number from its first to its last character, as the C library reads it, or
-// Microsoft's 1.#QNAN, -1.#IND and 1.#INF. Nothing for any other text, for hexadecimal and for what is beyond the range.
+// The double nearest to a text that is a number from its first to its last character, as the C library reads
+// it, or Microsoft's 1.#QNAN, -1.#IND and 1.#INF. Nothing for any other text, for hexadecimal and for what is
+// beyond the range.
 std::optional<double> numberOf(const std::string& text);
 
 // The same with float as the type whose nearest number is taken.

@@ -1,5 +1,5 @@
-// NumPy's .npy, versions 1 to 3 (numpy.lib.format): the magic string, a header that is a Python literal, and raw values; and
-// .npz, a ZIP of them.
+// NumPy's .npy, versions 1 to 3 (numpy.lib.format): the magic string, a header that is a Python literal, and
+// raw values; and .npz, a ZIP of them.
 #include "file_numbers.h"
 #include "point_formats.h"
 #include "vdb_nns/error.h"
@@ -162,7 +162,8 @@ private:
         if (!isNumberType(column.type)) fail("has an .npy type that is no number of 64 bits or less");
     }
 
-    // Records: ('name', '<f4'), (('title', 'name'), '<f4') or ('name', '<f4', (3,)), packed one behind the other.
+    // Records: ('name', '<f4'), (('title', 'name'), '<f4') or ('name', '<f4', (3,)), packed one behind the
+    // other.
     void findFields(const Literal& type)
     {
         std::vector<Field> fields;

@@ -1,5 +1,6 @@
-// The polygon file format (Greg Turk, Stanford): lines of a header, and behind `end_header` the rows of its elements, in their
-// order, as text with a row a line or as packed binary numbers. Positions are x, y and z of the element `vertex`.
+// The polygon file format (Greg Turk, Stanford): lines of a header, and behind `end_header` the rows of its
+// elements, in their order, as text with a row a line or as packed binary numbers. Positions are x, y and z
+// of the element `vertex`.
 #include "file_numbers.h"
 #include "point_formats.h"
 
@@ -48,7 +49,8 @@ public:
 private:
     // ------------------------------------------------------------------------------------------------ header
 
-    // A line of the header ends with LF, before which a CR is dropped, or with a lone CR if the first one does.
+    // A line of the header ends with LF, before which a CR is dropped, or with a lone CR if the first one
+    // does.
     std::vector<std::string> headerWords()
     {
         std::string line;

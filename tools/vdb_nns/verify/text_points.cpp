@@ -1,6 +1,6 @@
-// Text: a row a line, with blanks, commas or semicolons between its fields. Before the rows may stand, in this order, a line of
-// names and a line with the number of rows; behind that number chemistry's .xyz has a line for a comment. Blank lines and
-// those that begin with # say nothing.
+// Text: a row a line, with blanks, commas or semicolons between its fields. Before the rows may stand, in
+// this order, a line of names and a line with the number of rows; behind that number chemistry's .xyz has a
+// line for a comment. Blank lines and those that begin with # say nothing.
 #include "file_numbers.h"
 #include "point_formats.h"
 
@@ -67,7 +67,8 @@ std::size_t numbersIn(const Fields& fields)
         fields.begin(), fields.end(), [](const std::string& f) { return numberOf(f).has_value(); }));
 }
 
-// The separator with which a line has the most numbers; of several the one with the fewest fields, blanks first.
+// The separator with which a line has the most numbers; of several the one with the fewest fields, blanks
+// first.
 char separatorOf(const std::string& line, std::size_t* numbers = nullptr)
 {
     char best = ' ';
@@ -178,8 +179,8 @@ private:
         return true;
     }
 
-    // What follows the number of rows: chemistry has a comment there, which is no row, or any line at all where the next one
-    // begins with an element.
+    // What follows the number of rows: chemistry has a comment there, which is no row, or any line at all
+    // where the next one begins with an element.
     bool isChemistry()
     {
         lookAhead(2);

@@ -1,6 +1,6 @@
-// VTK's legacy format ("VTK File Formats", Simple Legacy Formats): a line with the version, a title, ASCII or BINARY, and
-// sections that begin with a keyword. Positions are the section POINTS. Binary numbers are big-endian and begin behind the
-// line of their keyword.
+// VTK's legacy format ("VTK File Formats", Simple Legacy Formats): a line with the version, a title, ASCII or
+// BINARY, and sections that begin with a keyword. Positions are the section POINTS. Binary numbers are
+// big-endian and begin behind the line of their keyword.
 #include "file_numbers.h"
 #include "point_formats.h"
 

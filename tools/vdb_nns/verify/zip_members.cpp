@@ -177,7 +177,8 @@ private:
         return entry;
     }
 
-    // Takes the values that are all ones in 32 bits from the ZIP64 extra field, where they stand in this order.
+    // Takes the values that are all ones in 32 bits from the ZIP64 extra field, where they stand in this
+    // order.
     void widen(std::uint64_t extra, std::uint64_t bytes, const std::vector<std::uint64_t*>& values) const
     {
         const std::uint64_t end = extra + bytes;

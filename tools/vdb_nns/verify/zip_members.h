@@ -1,5 +1,5 @@
-// The members of a ZIP, each inside the file and with the CRC-32 it claims. Format: PKWARE APPNOTE 6.3, sections 4.3 and 4.5.3
-// (ZIP64). Knows nothing of arrays.
+// The members of a ZIP, each inside the file and with the CRC-32 it claims. Format: PKWARE APPNOTE 6.3,
+// sections 4.3 and 4.5.3 (ZIP64). Knows nothing of arrays.
 #pragma once
 
 #include "file_pieces.h"
