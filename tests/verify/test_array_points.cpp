@@ -327,7 +327,7 @@ TEST_F(ArrayPoints, OtherFiles)
         EXPECT_THROW(cli::readArrayPoints("/nonexistent/a."s + extension), InputError);
 }
 
-// ------------------------------------------------------------------------------------------------ disagreement
+// --------------------------------------------------------------------------------------------- disagreement
 
 TEST_F(ArrayPoints, DifferenceIsFoundAndNamed)
 {
