@@ -1,4 +1,4 @@
-// Point files: .vdb, .npy, .ply and .xyz in, neighbor lists (.npz) and result attributes (.vdb) out.
+// Point files: grids, arrays and texts in, neighbor lists (.npz) and result attributes (.vdb) out.
 #pragma once
 
 #include "vdb_nns/neighbor_lists.h"
@@ -26,7 +26,7 @@ struct AttributeInfo {
 /// What a point file says about itself. Values that a format does not have are empty.
 struct PointFileInfo {
     std::string path;
-    std::string format; ///< "vdb", "npy", "ply" or "xyz"
+    std::string format; ///< the extension in lower case: "vdb", "npy", "npz", "ply", "xyz", "txt", "csv", ...
     std::string grid;   ///< grid name; empty for arrays
     std::uint64_t points = 0;
     std::uint64_t nonfinite = 0;              ///< points with a NaN or infinite coordinate
@@ -35,6 +35,10 @@ struct PointFileInfo {
     Matrix4 transform{};                      ///< index to world, column vectors; identity for arrays
     std::optional<std::array<Vec3d, 2>> bbox; ///< world units, of the finite points; empty if there are none
     std::vector<AttributeInfo> attributes;
+    /// Where a file leaves a choice, what was taken as the positions: "columns 1, 2 and 3 of 6", "array 'positions'".
+    std::string taken;
+    /// What a person should look at: sentences without the file's name.
+    std::vector<std::string> notes;
     std::optional<double> suggestedRadius; ///< world units, metadata `suggested_radius`
 };
 
@@ -49,15 +53,23 @@ struct PointFileOptions {
 
     /// Receives progress and may cancel; may be null.
     Progress* progress = nullptr;
+
+    /// Numbers of the columns that are x, y and z, from 0: three different ones, of a text, of an .npy or .npz that is wider
+    /// than (N, 3), or of the fields of its records. Empty: what the file says.
+    std::vector<std::uint32_t> columns;
+
+    /// Name of the array of an .npz; empty: the only one.
+    std::string array;
 };
 
 /// A point file in memory. Copies share it. Safe to use from several threads and from inside TBB tasks,
 /// writeVdb() included.
 class PointFile {
 public:
-    /// Reads a point file. The extension tells the format (.vdb .npy .ply .xyz, in any case).
-    /// @throws InvalidInput for an unknown extension, an unknown grid name, several point grids and no name
-    ///         (the message lists them), or a grid name given with an array file
+    /// Reads a point file. The extension tells the format, in any case: .vdb; .npy .npz; .ply; .vtk (legacy); .bgeo
+    /// (classic); texts .xyz .txt .csv .pts. docs/formats.md says what of each is read.
+    /// @throws InvalidInput for an unknown extension; for a grid, array or column that the file does not have; for several
+    ///         point grids or arrays and no name (the message lists them); and for a choice that the format does not offer
     /// @throws InputError if the file is missing, unreadable, truncated, damaged or not supported (frustum
     ///         transform, singular matrix, a P that is not vec3s with codec null, trnc, fxpt16 or fxpt8)
     /// @throws CapacityError if the points do not fit the memory
@@ -66,6 +78,9 @@ public:
 
     /// The positions. The view keeps the file's memory alive.
     const ParticleView& view() const;
+
+    /// PointFileInfo::notes, without the pass over the positions that info() makes.
+    const std::vector<std::string>& notes() const;
 
     /// Describes the file; valid while a copy lives. Cost: the first call makes one pass over the positions
     /// for bbox and nonfinite, and so does each thread that calls it meanwhile.

@@ -1,6 +1,6 @@
 // Readers of the array formats: each turns the bytes of a whole file into positions, or throws an InputError
-// that names the file, the place, the number that broke and the next step. They work on memory only (fuzz
-// targets call them), trust no number of a header before it is held against the size of the file, and
+// that names the file, the place, what stood there, what is expected and the next step. They work on memory
+// only (fuzz targets call them), trust no number of a header before it is held against the size of the file, and
 // allocate nothing larger than a small multiple of it. NaN and infinite coordinates are legal data. Know
 // nothing of OpenVDB.
 #pragma once
@@ -31,29 +31,60 @@ struct PositionArray {
     std::size_t size() const { return (floats.size() + doubles.size()) / 3; }
 };
 
-// Where the values of an .npy file are: they are used in place.
+// What a caller chose where a file leaves a choice.
+struct ArrayChoice {
+    std::vector<std::uint32_t>
+        columns;       // numbers of those that are x, y and z, from 0; empty: the reader's rule
+    std::string array; // name of the array of an .npz; empty: the only one
+};
+
+// A file in memory, and what a reader is told about reading it.
+struct ArrayFile {
+    const std::string& path; // for messages
+    FileBytes bytes;
+    const ArrayChoice& choice;
+    std::uint64_t allowedBytes; // that positions, and what is needed while they are read, may take
+    const CancelCheck& cancel;
+};
+
+// What a reader found.
+struct ReadArray {
+    PositionArray positions;
+    // Where they come from, for people: "columns 0, 1 and 2 of 6", "fields x, y and z", "array 'positions'". Empty where the
+    // file leaves no choice.
+    std::string taken;
+    std::vector<std::string> notes; // what a person should look at: sentences without the file's name
+};
+
+// Where the values of an .npy file are that need no conversion: they are used in place.
 struct NpyLayout {
     std::size_t dataOffset = 0; // bytes from the start of the file
     std::size_t count = 0;      // particles
     bool isDouble = false;
 };
 
-// NumPy's format, versions 1 to 3: little-endian f4 or f8, C order, shape (N, 3), and not a byte more or
-// less. https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html
-NpyLayout parseNpy(const std::string& path, FileBytes bytes);
+// NumPy's format, versions 1 to 3. https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html
+// Floats of 2, 4 and 8 bytes and integers, of either endianness and order: (N, 3), wider with columns, or structured with
+// fields x, y and z. Not a byte more or less than the header says. True, with `layout`, where the values are those of
+// little-endian floats of shape (N, 3) in C order; else `result` has them, converted.
+bool parseNpy(const ArrayFile& file, NpyLayout& layout, ReadArray& result);
 
-// The Stanford polygon format: ascii, binary little-endian or big-endian; x y z of element `vertex` as float
-// or double. Other elements and properties, lists too, are walked over.
-// http://paulbourke.net/dataformats/ply/
-// Throws CapacityError where the positions take more than `allowedBytes`.
-PositionArray parsePly(const std::string& path, FileBytes bytes, std::uint64_t allowedBytes = kAnyBytes,
-                       const CancelCheck& cancel = {nullptr, "read"});
+// A ZIP of .npy files, stored or deflated, as numpy.savez and numpy.savez_compressed write it.
+ReadArray parseNpz(const ArrayFile& file);
 
-// Text, three numbers a line, more columns ignored; `#` starts a comment; blank lines are ignored. A first
-// line of one integer (a particle count, as chemistry's .xyz has) is refused, since what follows it is then
-// no list of positions. Throws CapacityError where reading the positions takes more than `allowedBytes`.
-PositionArray parseXyz(const std::string& path, FileBytes bytes, std::uint64_t allowedBytes = kAnyBytes,
-                       const CancelCheck& cancel = {nullptr, "read"});
+// The Stanford polygon format: ascii, binary little-endian or big-endian; x y z of element `vertex` of any type of number.
+// Other elements and properties, lists too, are walked over. http://paulbourke.net/dataformats/ply/
+ReadArray parsePly(const ArrayFile& file);
+
+// Text: the grammar stands beside the code.
+ReadArray parseText(const ArrayFile& file);
+
+// VTK's legacy format: the POINTS of any kind of data set, ascii or binary.
+// https://docs.vtk.org/en/latest/vtk_file_formats/vtk_legacy_file_format.html
+ReadArray parseVtk(const ArrayFile& file);
+
+// Houdini's classic .bgeo, version 5: the points of the geometry. http://www.sidefx.com/docs/hdk/_h_d_k__g_a__using.html
+ReadArray parseBgeo(const ArrayFile& file);
 
 // Throws the CapacityError of a file whose points need more than may be taken.
 void checkPointsFit(const std::string& path, std::uint64_t neededBytes, std::uint64_t allowedBytes);

@@ -1,156 +1,21 @@
-// The .npy reader: a header, which is the text of a Python dictionary, and raw values behind it.
-#include "io/array_readers.h"
+// The .npy reader: a header, and raw values behind it, which are positions in one of three ways: rows, columns one after the
+// other (Fortran order), or records with fields.
+#include "io/half_float.h"
+#include "io/npy_header.h"
 
-#include "vdb_nns/error.h"
+#include <oneapi/tbb/parallel_for.h>
 
-#include <charconv>
-#include <cstring>
-#include <optional>
+#include <algorithm>
+#include <atomic>
 
 namespace vdb_nns {
 
 namespace {
 
-// NumPy itself reads headers up to 10 000 bytes unless told otherwise; a plain array's has about 70.
-constexpr std::uint64_t kMaxHeaderBytes = 65536;
-
-// What the three keys of a header say.
-struct Header {
-    std::string descr;
-    bool fortranOrder = false;
-    std::vector<std::uint64_t> shape;
-};
-
-// A reader of the one Python literal that a header may hold: {'descr': '<f4', 'fortran_order': False,
-// 'shape': (4, 3), }
-class HeaderParser {
-public:
-    HeaderParser(const std::string& path, FileBytes text, std::size_t fileOffset)
-        : mPath(path), mText(text), mFileOffset(fileOffset)
-    {
-    }
-
-    Header parse()
-    {
-        Header header;
-        bool hasDescr = false, hasOrder = false, hasShape = false;
-        expect('{');
-        while (!accept('}')) {
-            const std::string key = string();
-            expect(':');
-            if (key == "descr" && !hasDescr) {
-                hasDescr = true;
-                header.descr = descr();
-            } else if (key == "fortran_order" && !hasOrder) {
-                hasOrder = true;
-                header.fortranOrder = boolean();
-            } else if (key == "shape" && !hasShape) {
-                hasShape = true;
-                header.shape = tuple();
-            } else {
-                fail("key '" + key + "' is unknown or there twice");
-            }
-            if (!accept(',')) {
-                expect('}');
-                break;
-            }
-        }
-        if (peek()) fail("something stands behind the dictionary");
-        if (!hasDescr || !hasOrder || !hasShape) fail("'descr', 'fortran_order' or 'shape' is missing");
-        return header;
-    }
-
-private:
-    [[noreturn]] void fail(const std::string& what) const
-    {
-        throw InputError(mPath + ": damaged .npy header at byte " + std::to_string(mFileOffset + mNext) +
-                         ": " + what + "; write the file again with numpy.save");
-    }
-
-    // The next character that is no white space; nothing at the end.
-    std::optional<char> peek()
-    {
-        while (mNext < mText.size() && std::strchr(" \t\r\n", mText[mNext]) && mText[mNext] != 0) ++mNext;
-        if (mNext == mText.size()) return std::nullopt;
-        return static_cast<char>(mText[mNext]);
-    }
-
-    bool accept(char wanted)
-    {
-        if (peek() != wanted) return false;
-        ++mNext;
-        return true;
-    }
-
-    void expect(char wanted)
-    {
-        if (!accept(wanted)) fail(std::string("expected '") + wanted + "'");
-    }
-
-    std::string string()
-    {
-        const std::optional<char> quote = peek();
-        if (quote != '\'' && quote != '"') fail("expected a string");
-        std::string text;
-        for (++mNext; mNext < mText.size(); ++mNext) {
-            if (static_cast<char>(mText[mNext]) == *quote) {
-                ++mNext;
-                return text;
-            }
-            text += static_cast<char>(mText[mNext]);
-        }
-        fail("a string has no end");
-    }
-
-    std::string descr()
-    {
-        if (peek() == '[') {
-            throw InputError(mPath +
-                             ": the .npy file holds structured records; save the positions alone, as an " +
-                             "array of shape (N, 3) and dtype float32 or float64");
-        }
-        return string();
-    }
-
-    bool boolean()
-    {
-        peek();
-        for (const char* word : {"True", "False"}) {
-            const std::size_t length = std::strlen(word);
-            if (mText.size() - mNext >= length && std::memcmp(mText.data() + mNext, word, length) == 0) {
-                mNext += length;
-                return word[0] == 'T';
-            }
-        }
-        fail("expected True or False");
-    }
-
-    std::vector<std::uint64_t> tuple()
-    {
-        std::vector<std::uint64_t> values;
-        expect('(');
-        while (!accept(')')) {
-            peek();
-            const char* const first = reinterpret_cast<const char*>(mText.data()) + mNext;
-            const char* const last = reinterpret_cast<const char*>(mText.data()) + mText.size();
-            std::uint64_t value = 0;
-            const std::from_chars_result result = std::from_chars(first, last, value);
-            if (result.ec != std::errc()) fail("expected a size from 0 to 2^64-1");
-            mNext += static_cast<std::size_t>(result.ptr - first);
-            values.push_back(value);
-            if (!accept(',')) {
-                expect(')');
-                break;
-            }
-        }
-        return values;
-    }
-
-    const std::string& mPath;
-    FileBytes mText;
-    std::size_t mFileOffset; // of the text
-    std::size_t mNext = 0;
-};
+// Rows that a task converts.
+constexpr std::size_t kTaskRows = std::size_t(1) << 16;
+// Every integer up to here is a double.
+constexpr std::uint64_t kMostExactInteger = std::uint64_t(1) << 53;
 
 std::string shapeText(const std::vector<std::uint64_t>& shape)
 {
@@ -159,8 +24,7 @@ std::string shapeText(const std::vector<std::uint64_t>& shape)
     return text + (shape.size() == 1 ? ",)" : ")");
 }
 
-// Finds the header's text and returns it; `dataOffset` is what follows.
-FileBytes headerText(const std::string& path, FileBytes bytes, std::size_t& dataOffset)
+NpyHeader readHeader(const std::string& path, FileBytes bytes)
 {
     static const unsigned char kMagic[6] = {0x93, 'N', 'U', 'M', 'P', 'Y'};
     if (bytes.size() < 10 || std::memcmp(bytes.data(), kMagic, sizeof kMagic) != 0) {
@@ -178,58 +42,279 @@ FileBytes headerText(const std::string& path, FileBytes bytes, std::size_t& data
     for (std::size_t i = lengthBytes; i-- > 0;) {
         length = length << 8 | (8 + i < bytes.size() ? bytes[8 + i] : 0u);
     }
-    if (bytes.size() < start || length > bytes.size() - start || length > kMaxHeaderBytes) {
+    if (bytes.size() < start || length > bytes.size() - start || length > kMaxNpyHeaderBytes) {
         throw InputError(path + ": the .npy header at byte 8 claims " + std::to_string(length) +
                          " bytes, but the file has " + std::to_string(bytes.size()) +
-                         " and a header may have " + std::to_string(kMaxHeaderBytes) +
+                         " and a header may have " + std::to_string(kMaxNpyHeaderBytes) +
                          "; the file is truncated or damaged");
     }
-    dataOffset = start + static_cast<std::size_t>(length);
-    return {bytes.data() + start, static_cast<std::size_t>(length)};
+    const FileBytes text(bytes.data() + start, static_cast<std::size_t>(length));
+    NpyHeader header = NpyHeaderParser(path, text, start).parse();
+    header.dataOffset = start + static_cast<std::size_t>(length);
+    return header;
+}
+
+// Where the three coordinates of the first point are, in bytes from the first value, and how far it is to the next point.
+struct Places {
+    std::uint64_t rows = 0, stride = 0;
+    std::uint64_t offset[3] = {};
+    NpyType type[3];
+    std::string taken;
+};
+
+[[noreturn]] void refuseType(const std::string& path, const std::string& descr)
+{
+    throw InputError(path + ": .npy dtype '" + shownText(descr) +
+                     "' is not supported: floats of 16, 32 and 64 bits and integers are; save "
+                     "positions.astype(numpy.float64)");
+}
+
+std::string list(const std::vector<std::string>& items)
+{
+    std::string text;
+    for (std::size_t i = 0; i < items.size(); ++i)
+        text += (i == 0 ? "" : i + 1 == items.size() ? " and " : ", ") + items[i];
+    return text;
+}
+
+Places placesOfFields(const ArrayFile& file, const NpyHeader& header)
+{
+    const std::string& path = file.path;
+    if (header.shape.size() != 1) {
+        throw InputError(path + ": the .npy file holds records of shape " + shapeText(header.shape) +
+                         ", not (N,); save positions.ravel()");
+    }
+    std::vector<std::string> names, taken;
+    for (const NpyField& field : header.fields) names.push_back("'" + shownText(field.name) + "'");
+    Places places;
+    places.rows = header.shape[0];
+    places.stride = header.itemBytes;
+    for (std::size_t k = 0; k < 3; ++k) {
+        std::size_t number = header.fields.size();
+        if (!file.choice.columns.empty()) {
+            number = file.choice.columns[k];
+            if (number >= header.fields.size()) {
+                throw InvalidInput(path + ": has no column " + std::to_string(number) +
+                                   " (--columns): its records have " + std::to_string(header.fields.size()) +
+                                   " fields, from 0: " + list(names));
+            }
+        } else {
+            const std::string name(1, "xyz"[k]);
+            for (std::size_t i = 0; i < header.fields.size(); ++i) {
+                if (header.fields[i].name == name) number = i;
+            }
+            if (number == header.fields.size()) {
+                throw InputError(path + ": the records of the .npy file have no field '" + name + "', but " +
+                                 list(names) + "; say which are x, y and z (--columns 0,1,2)");
+            }
+        }
+        const NpyField& field = header.fields[number];
+        if (field.isArray || !field.type.isNumber())
+            refuseType(path, field.descr + (field.isArray ? " with a shape" : ""));
+        places.offset[k] = field.offset;
+        places.type[k] = field.type;
+        taken.push_back(names[number]);
+    }
+    places.taken = "fields " + list(taken) + " of " + std::to_string(names.size());
+    return places;
+}
+
+Places placesOfColumns(const ArrayFile& file, const NpyHeader& header)
+{
+    const std::string& path = file.path;
+    if (!header.type.isNumber()) refuseType(path, header.descr);
+    const std::vector<std::uint64_t>& shape = header.shape;
+    const std::string is = path + ": .npy shape " + shapeText(shape) + " is not (N, 3)";
+    if (shape.size() == 1) throw InputError(is + "; save positions.reshape(-1, 3) if it is x y z x y z ...");
+    if (shape.size() != 2) throw InputError(is + "; save positions.reshape(-1, 3)");
+    const std::uint64_t width = shape[1];
+    if (width < 3) {
+        throw InputError(is + (shape[0] == 3 ? "; save positions.T" : "; positions need three coordinates"));
+    }
+    const std::vector<std::uint32_t>& columns = file.choice.columns;
+    if (width > 3 && columns.empty()) {
+        throw InputError(is + (shape[0] == 3 ? "; save positions.T, or, if its rows are points, " : "; ") +
+                         "say which columns are x, y and z (--columns 0,1,2), or save positions[:, :3]");
+    }
+    Places places;
+    places.rows = shape[0];
+    places.stride = header.fortranOrder ? header.itemBytes : header.itemBytes * width;
+    std::vector<std::string> taken;
+    for (std::size_t k = 0; k < 3; ++k) {
+        const std::uint64_t column = columns.empty() ? k : columns[k];
+        if (column >= width) {
+            throw InvalidInput(path + ": has no column " + std::to_string(column) + " (--columns): it has " +
+                               std::to_string(width) + ", from 0");
+        }
+        places.offset[k] = column * (header.fortranOrder ? header.itemBytes * shape[0] : header.itemBytes);
+        places.type[k] = header.type;
+        taken.push_back(std::to_string(column));
+    }
+    if (!columns.empty()) places.taken = "columns " + list(taken) + " of " + std::to_string(width);
+    return places;
+}
+
+// Values of a shape; nothing where that is past 64 bits.
+std::optional<std::uint64_t> valuesOf(const std::vector<std::uint64_t>& shape)
+{
+    std::uint64_t count = 1;
+    if (std::find(shape.begin(), shape.end(), 0u) != shape.end()) return 0;
+    for (const std::uint64_t size : shape) {
+        if (count > std::numeric_limits<std::uint64_t>::max() / size) return std::nullopt;
+        count *= size;
+    }
+    return count;
+}
+
+// The values are as many as the header says, to the byte.
+void checkSize(const std::string& path, const NpyHeader& header, std::uint64_t available)
+{
+    const std::optional<std::uint64_t> count = valuesOf(header.shape);
+    if (!count || *count > available / header.itemBytes) {
+        throw InputError(path + ": truncated: the .npy header promises shape " + shapeText(header.shape) +
+                         " of " + std::to_string(header.itemBytes) + " bytes each, but only " +
+                         std::to_string(available) + " bytes follow from byte " +
+                         std::to_string(header.dataOffset) + "; copy the file again");
+    }
+    const std::uint64_t needed = *count * header.itemBytes;
+    if (needed != available) {
+        throw InputError(path + ": " + std::to_string(available - needed) + " bytes too many behind the " +
+                         std::to_string(needed) + " of the .npy header's shape, from byte " +
+                         std::to_string(header.dataOffset + needed) + "; write the file again");
+    }
+}
+
+template <typename Number>
+Number numberAt(const unsigned char* from, bool isBigEndian)
+{
+    unsigned char raw[sizeof(Number)];
+    if (isBigEndian) {
+        std::reverse_copy(from, from + sizeof(Number), raw);
+    } else {
+        std::memcpy(raw, from, sizeof(Number));
+    }
+    Number value;
+    std::memcpy(&value, raw, sizeof value);
+    return value;
+}
+
+// Converts one coordinate of rows [begin, end). Returns the first row whose integer is no double, or `end`.
+template <typename Number, typename Real>
+std::size_t convertAs(const unsigned char* first, std::uint64_t stride, bool isBigEndian, std::size_t begin,
+                      std::size_t end, Real* out)
+{
+    std::size_t inexact = end;
+    for (std::size_t row = begin; row < end; ++row) {
+        const auto value = numberAt<Number>(first + row * stride, isBigEndian);
+        if constexpr (sizeof(Number) == 8 && std::is_integral<Number>::value) {
+            const auto wide = static_cast<std::uint64_t>(value);
+            const std::uint64_t magnitude = std::is_signed<Number>::value && value < 0 ? 0 - wide : wide;
+            if (magnitude > kMostExactInteger) inexact = std::min(inexact, row);
+        }
+        out[3 * row] = static_cast<Real>(value);
+    }
+    return inexact;
+}
+
+template <typename Real>
+std::size_t convertHalves(const unsigned char* first, std::uint64_t stride, bool isBigEndian,
+                          std::size_t begin, std::size_t end, Real* out)
+{
+    for (std::size_t row = begin; row < end; ++row)
+        out[3 * row] = floatOfHalf(numberAt<std::uint16_t>(first + row * stride, isBigEndian));
+    return end;
+}
+
+template <typename Real>
+std::size_t convertRows(const NpyType& type, const unsigned char* first, std::uint64_t stride,
+                        std::size_t begin, std::size_t end, Real* out)
+{
+    const bool isBig = type.isBigEndian();
+    const auto as = [&](auto number) {
+        return convertAs<decltype(number)>(first, stride, isBig, begin, end, out);
+    };
+    if (type.kind == 'f') {
+        if (type.bytes == 2) return convertHalves(first, stride, isBig, begin, end, out);
+        return type.bytes == 4 ? as(float()) : as(double());
+    }
+    const bool isSigned = type.kind == 'i';
+    switch (type.bytes) {
+    case 1:
+        return isSigned ? as(std::int8_t()) : as(std::uint8_t());
+    case 2:
+        return isSigned ? as(std::int16_t()) : as(std::uint16_t());
+    case 4:
+        return isSigned ? as(std::int32_t()) : as(std::uint32_t());
+    default:
+        return isSigned ? as(std::int64_t()) : as(std::uint64_t());
+    }
+}
+
+template <typename Real>
+void convert(const ArrayFile& file, const Places& places, const unsigned char* values, std::vector<Real>& out)
+{
+    const auto rows = static_cast<std::size_t>(places.rows);
+    checkPointsFit(file.path, places.rows * 3 * sizeof(Real), file.allowedBytes);
+    out.resize(3 * rows);
+    std::atomic<std::size_t> inexact{rows};
+    tbb::parallel_for(std::size_t(0), (rows + kTaskRows - 1) / kTaskRows, [&](std::size_t task) {
+        file.cancel.check();
+        const std::size_t begin = task * kTaskRows, end = std::min(rows, begin + kTaskRows);
+        for (int k = 0; k < 3; ++k) {
+            const std::size_t row = convertRows(places.type[k], values + places.offset[k], places.stride,
+                                                begin, end, out.data() + k);
+            std::size_t before = inexact;
+            while (row < end && row < before && !inexact.compare_exchange_weak(before, row)) {
+            }
+        }
+    });
+    if (inexact < rows) {
+        throw InputError(
+            file.path + ": point " + std::to_string(inexact) +
+            " has a coordinate beyond 2^53, which is no exact double; subtract an origin from the "
+            "integers before they are saved");
+    }
+}
+
+bool isInPlace(const Places& places)
+{
+    const NpyType& type = places.type[0];
+    return type.kind == 'f' && type.bytes >= 4 && !type.isBigEndian() && places.stride == 3 * type.bytes &&
+           places.offset[0] == 0 && places.offset[1] == type.bytes && places.offset[2] == 2 * type.bytes &&
+           std::all_of(places.type, places.type + 3, [&](const NpyType& other) {
+               return other.kind == 'f' && other.bytes == type.bytes && other.order == type.order;
+           });
 }
 
 } // namespace
 
-NpyLayout parseNpy(const std::string& path, FileBytes bytes)
+bool parseNpy(const ArrayFile& file, NpyLayout& layout, ReadArray& result)
 {
-    NpyLayout layout;
-    const FileBytes text = headerText(path, bytes, layout.dataOffset);
-    const Header header = HeaderParser(path, text, layout.dataOffset - text.size()).parse();
-
-    if (header.descr != "<f4" && header.descr != "<f8") {
-        throw InputError(path + ": .npy dtype '" + header.descr +
-                         "' is not supported; convert to little-endian float32 " +
-                         "('<f4') or float64 ('<f8')");
-    }
-    if (header.fortranOrder) {
-        throw InputError(path +
-                         ": the .npy array is in Fortran order; save numpy.ascontiguousarray(positions)");
-    }
-    if (header.shape.size() != 2 || header.shape[1] != 3) {
-        throw InputError(path + ": .npy shape " + shapeText(header.shape) + " is not (N, 3)");
-    }
-    layout.isDouble = header.descr == "<f8";
-    const std::uint64_t pointBytes = layout.isDouble ? 24 : 12;
-    const std::uint64_t available = bytes.size() - layout.dataOffset;
-    const std::uint64_t count = header.shape[0];
-    if (count > available / pointBytes) {
-        throw InputError(path + ": truncated: the .npy header promises " + std::to_string(count) +
-                         " points of " + std::to_string(pointBytes) + " bytes, but only " +
-                         std::to_string(available) + " bytes follow from byte " +
-                         std::to_string(layout.dataOffset) + "; copy the file again");
-    }
-    if (count * pointBytes != available) {
-        throw InputError(path + ": " + std::to_string(available - count * pointBytes) +
-                         " bytes too many behind the " + std::to_string(count) +
-                         " points of the .npy header, from byte " +
-                         std::to_string(layout.dataOffset + count * pointBytes) + "; write the file again");
-    }
-    if (count > kMaxFilePoints) {
-        throw InputError(path + ": " + std::to_string(count) + " points are more than the " +
+    const NpyHeader header = readHeader(file.path, file.bytes);
+    const Places places =
+        header.isStructured() ? placesOfFields(file, header) : placesOfColumns(file, header);
+    checkSize(file.path, header, file.bytes.size() - header.dataOffset);
+    if (places.rows > kMaxFilePoints) {
+        throw InputError(file.path + ": " + std::to_string(places.rows) + " points are more than the " +
                          std::to_string(kMaxFilePoints) + " that fit; split the file");
     }
-    layout.count = static_cast<std::size_t>(count);
-    return layout;
+    result.taken = places.taken;
+    if (isInPlace(places)) {
+        layout.dataOffset = header.dataOffset;
+        layout.count = static_cast<std::size_t>(places.rows);
+        layout.isDouble = places.type[0].bytes == 8;
+        return true;
+    }
+    const unsigned char* const values = file.bytes.data() + header.dataOffset;
+    const bool areFloats = std::all_of(places.type, places.type + 3, [](const NpyType& type) {
+        return type.kind == 'f' && type.bytes <= 4;
+    });
+    if (areFloats) {
+        convert(file, places, values, result.positions.floats);
+    } else {
+        convert(file, places, values, result.positions.doubles);
+    }
+    return false;
 }
 
 } // namespace vdb_nns

@@ -1,8 +1,10 @@
 // What the header of a .ply file says, and its reader: the elements of the file and the properties of each. A
-// header of its own for the sake of its length; ply_reader.cpp is its only user.
+// header of its own for the sake of its length; ply_reader.cpp is its only user. Lines end with LF or CR LF; where the
+// first one ends with a lone CR, all do. Comments may stand anywhere behind the first line.
 #pragma once
 
 #include "io/array_readers.h"
+#include "io/number_type.h"
 #include "vdb_nns/error.h"
 
 #include <algorithm>
@@ -15,48 +17,25 @@ namespace vdb_nns {
 
 enum class PlyFormat { kAscii, kLittleEndian, kBigEndian };
 
-enum class PlyType { kInt8, kUInt8, kInt16, kUInt16, kInt32, kUInt32, kFloat, kDouble };
-
 struct PlyTypeName {
     const char* name;
-    PlyType type;
+    NumberType type;
 };
 
 // The names of the first description and those that came into use later.
 constexpr PlyTypeName kPlyTypeNames[] = {
-    {"char", PlyType::kInt8},     {"int8", PlyType::kInt8},     {"uchar", PlyType::kUInt8},
-    {"uint8", PlyType::kUInt8},   {"short", PlyType::kInt16},   {"int16", PlyType::kInt16},
-    {"ushort", PlyType::kUInt16}, {"uint16", PlyType::kUInt16}, {"int", PlyType::kInt32},
-    {"int32", PlyType::kInt32},   {"uint", PlyType::kUInt32},   {"uint32", PlyType::kUInt32},
-    {"float", PlyType::kFloat},   {"float32", PlyType::kFloat}, {"double", PlyType::kDouble},
-    {"float64", PlyType::kDouble}};
-
-inline std::size_t sizeOf(PlyType type)
-{
-    switch (type) {
-    case PlyType::kInt8:
-    case PlyType::kUInt8:
-        return 1;
-    case PlyType::kInt16:
-    case PlyType::kUInt16:
-        return 2;
-    case PlyType::kDouble:
-        return 8;
-    default:
-        return 4;
-    }
-}
-
-inline bool isReal(PlyType type)
-{
-    return type == PlyType::kFloat || type == PlyType::kDouble;
-}
+    {"char", NumberType::kInt8},     {"int8", NumberType::kInt8},     {"uchar", NumberType::kUInt8},
+    {"uint8", NumberType::kUInt8},   {"short", NumberType::kInt16},   {"int16", NumberType::kInt16},
+    {"ushort", NumberType::kUInt16}, {"uint16", NumberType::kUInt16}, {"int", NumberType::kInt32},
+    {"int32", NumberType::kInt32},   {"uint", NumberType::kUInt32},   {"uint32", NumberType::kUInt32},
+    {"float", NumberType::kFloat},   {"float32", NumberType::kFloat}, {"double", NumberType::kDouble},
+    {"float64", NumberType::kDouble}};
 
 struct PlyProperty {
     std::string name;
-    PlyType type; // of the value, or of a list's values
+    NumberType type; // of the value, or of a list's values
     bool isList = false;
-    PlyType countType = PlyType::kUInt8; // of a list's length
+    NumberType countType = NumberType::kUInt8; // of a list's length
 };
 
 struct PlyElement {
@@ -88,6 +67,7 @@ struct PlyHeader {
     PlyFormat format = PlyFormat::kAscii;
     std::vector<PlyElement> elements;
     std::size_t bytes = 0; // of the header
+    char lineEnd = '\n';   // or '\r'; an '\r' before '\n' is dropped
 };
 
 [[noreturn]] inline void failAt(const std::string& path, std::size_t byte, const std::string& what)
@@ -101,22 +81,26 @@ public:
 
     PlyHeader read()
     {
+        findLineEnds();
         readLine();
         if (mWords.size() != 1 || mWords[0] != "ply") {
             throw InputError(mPath + ": is not a .ply file: its first line is not 'ply'");
         }
-        readLine();
-        readFormat();
+        bool hasFormat = false;
         for (readLine(); mWords.empty() || mWords[0] != "end_header"; readLine()) {
             if (mWords.empty() || mWords[0] == "comment" || mWords[0] == "obj_info") continue;
-            if (mWords[0] == "element") {
+            if (!hasFormat) {
+                readFormat();
+                hasFormat = true;
+            } else if (mWords[0] == "element") {
                 readElement();
             } else if (mWords[0] == "property") {
                 readProperty();
             } else {
-                fail("header line '" + std::string(mWords[0].substr(0, 40)) + "' is unknown");
+                fail("header line '" + shownText(mWords[0]) + "' is unknown");
             }
         }
+        if (!hasFormat) fail("there is no line 'format NAME 1.0'");
         mHeader.bytes = mNext;
         return std::move(mHeader);
     }
@@ -124,12 +108,22 @@ public:
 private:
     [[noreturn]] void fail(const std::string& what) const { failAt(mPath, mLineStart, what); }
 
+    void findLineEnds()
+    {
+        const unsigned char* const first =
+            std::find_if(mBytes.data(), mBytes.data() + mBytes.size(),
+                         [](unsigned char c) { return c == '\n' || c == '\r'; });
+        const std::size_t at = static_cast<std::size_t>(first - mBytes.data());
+        if (at + 1 < mBytes.size() && *first == '\r' && first[1] != '\n') mHeader.lineEnd = '\r';
+    }
+
     void readLine()
     {
         mLineStart = mNext;
         const char* const text = reinterpret_cast<const char*>(mBytes.data());
-        const void* const found =
-            mNext < mBytes.size() ? std::memchr(text + mNext, '\n', mBytes.size() - mNext) : nullptr;
+        const void* const found = mNext < mBytes.size()
+                                      ? std::memchr(text + mNext, mHeader.lineEnd, mBytes.size() - mNext)
+                                      : nullptr;
         if (!found) fail("the header has no 'end_header'; the file is truncated or no .ply");
         const std::size_t end = static_cast<std::size_t>(static_cast<const char*>(found) - text);
         std::string_view line(text + mNext, end - mNext);
@@ -146,8 +140,9 @@ private:
 
     void readFormat()
     {
-        if (mWords.size() != 3 || mWords[0] != "format") fail("the second line is not 'format NAME 1.0'");
-        if (mWords[2] != "1.0") fail("version '" + std::string(mWords[2].substr(0, 40)) + "' is not 1.0");
+        if (mWords.size() != 3 || mWords[0] != "format")
+            fail("expected the line 'format NAME 1.0', found '" + shownText(mWords[0]) + "'");
+        if (mWords[2] != "1.0") fail("version '" + shownText(mWords[2]) + "' is not 1.0");
         if (mWords[1] == "ascii") {
             mHeader.format = PlyFormat::kAscii;
         } else if (mWords[1] == "binary_little_endian") {
@@ -155,7 +150,7 @@ private:
         } else if (mWords[1] == "binary_big_endian") {
             mHeader.format = PlyFormat::kBigEndian;
         } else {
-            fail("format '" + std::string(mWords[1].substr(0, 40)) +
+            fail("format '" + shownText(mWords[1]) +
                  "' is not ascii, binary_little_endian or binary_big_endian");
         }
     }
@@ -168,11 +163,10 @@ private:
         const char* const last = mWords[2].data() + mWords[2].size();
         const std::from_chars_result result = std::from_chars(mWords[2].data(), last, element.count);
         if (result.ec != std::errc() || result.ptr != last) {
-            fail("the count '" + std::string(mWords[2].substr(0, 40)) + "' is not a number from 0 to 2^64-1");
+            fail("the count '" + shownText(mWords[2]) + "' is not a number from 0 to 2^64-1");
         }
         for (const PlyElement& other : mHeader.elements) {
-            if (other.name == element.name)
-                fail("element '" + element.name.substr(0, 40) + "' is there twice");
+            if (other.name == element.name) fail("element '" + shownText(element.name) + "' is there twice");
         }
         mHeader.elements.push_back(std::move(element));
     }
@@ -195,12 +189,12 @@ private:
         mHeader.elements.back().properties.push_back(std::move(property));
     }
 
-    PlyType typeOf(std::string_view name) const
+    NumberType typeOf(std::string_view name) const
     {
         for (const PlyTypeName& known : kPlyTypeNames) {
             if (name == known.name) return known.type;
         }
-        fail("type '" + std::string(name.substr(0, 40)) + "' is unknown");
+        fail("type '" + shownText(name) + "' is unknown");
     }
 
     const std::string& mPath;

@@ -85,24 +85,62 @@ ParticleView viewOfNpy(PageBlock& block, const NpyLayout& layout)
     return ParticleView::fromArray(reinterpret_cast<const Real*>(values), layout.count);
 }
 
-// Reads the file of `info` and notes the type of its values there.
-ParticleView readArray(const InputFile& file, std::uint64_t allowedBytes, const CancelCheck& cancel,
-                       PointFileInfo& info)
+// The formats of arrays. An .npy is read by readArray() itself, since it may be used in place.
+struct ArrayFormat {
+    const char* extension;
+    ReadArray (*parse)(const ArrayFile&);
+    bool hasColumns;
+};
+constexpr ArrayFormat kArrayFormats[] = {
+    {"npy", nullptr, true},   {"npz", parseNpz, true},  {"ply", parsePly, false}, {"xyz", parseText, true},
+    {"txt", parseText, true}, {"csv", parseText, true}, {"pts", parseText, true}};
+
+// Null for other extensions.
+const ArrayFormat* arrayFormat(const std::string& extension)
+{
+    for (const ArrayFormat& format : kArrayFormats) {
+        if (extension == format.extension) return &format;
+    }
+    return nullptr;
+}
+
+void checkChoice(const std::string& path, const ArrayFormat* format, const PointFileOptions& options)
+{
+    const auto refuse = [&](const std::string& what) { throw InvalidInput(path + ": " + what); };
+    if (format && !options.grid.empty())
+        refuse("a ." + std::string(format->extension) + " file has no grids; leave the grid name '" +
+               options.grid + "' out");
+    if (!options.array.empty() && (!format || format->parse != parseNpz))
+        refuse("only an .npz file has named arrays; leave the array name '" + options.array + "' out");
+    const std::vector<std::uint32_t>& columns = options.columns;
+    if (columns.empty()) return;
+    if (!format || !format->hasColumns)
+        refuse("columns are chosen of texts, .npy and .npz files, and this one names its coordinates; leave "
+               "them out");
+    if (columns.size() != 3 || columns[0] == columns[1] || columns[1] == columns[2] ||
+        columns[0] == columns[2])
+        refuse("the columns of x, y and z are three different numbers");
+}
+
+// Reads the file of `info`, and notes there what was taken and the type of its values.
+ParticleView readArray(const InputFile& file, const ArrayFormat& format, const ArrayChoice& choice,
+                       std::uint64_t allowedBytes, const CancelCheck& cancel, PointFileInfo& info)
 {
     const auto storage = std::make_shared<ArrayStorage>();
     ArrayStorage& data = *storage;
     data.bytes = readBytes(file, cancel);
     const FileBytes bytes(static_cast<const unsigned char*>(data.bytes.data()),
                           static_cast<std::size_t>(file.size()));
-    bool isDouble = false;
-    if (info.format == "npy") {
-        const NpyLayout layout = parseNpy(info.path, bytes);
-        isDouble = layout.isDouble;
+    const ArrayFile array{info.path, bytes, choice, allowedBytes - file.size(), cancel};
+    NpyLayout layout;
+    ReadArray found;
+    const bool isInPlace = !format.parse && parseNpy(array, layout, found);
+    bool isDouble = layout.isDouble;
+    if (isInPlace) {
         data.view = isDouble ? viewOfNpy<double>(data.bytes, layout) : viewOfNpy<float>(data.bytes, layout);
     } else {
-        const std::uint64_t left = allowedBytes - static_cast<std::size_t>(file.size());
-        data.positions = info.format == "ply" ? parsePly(info.path, bytes, left, cancel)
-                                              : parseXyz(info.path, bytes, left, cancel);
+        if (format.parse) found = format.parse(array);
+        data.positions = std::move(found.positions);
         data.bytes = {};
         const PositionArray& positions = data.positions;
         isDouble = positions.floats.empty();
@@ -110,6 +148,8 @@ ParticleView readArray(const InputFile& file, std::uint64_t allowedBytes, const 
                              : ParticleView::fromArray(positions.floats.data(), positions.size());
     }
     info.codec = isDouble ? "float64" : "float32";
+    info.taken = std::move(found.taken);
+    info.notes = std::move(found.notes);
     // Copies of the view keep the storage.
     return ParticleView(std::shared_ptr<const ParticleSource>(storage, &data.view.source()));
 }
@@ -192,27 +232,25 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
     std::error_code error;
     if (std::filesystem::is_directory(path, error))
         throw InputError(path + ": is a folder; give the name of a file in it");
-    if (format != "vdb" && format != "npy" && format != "ply" && format != "xyz") {
+    const ArrayFormat* const array = arrayFormat(format);
+    if (format != "vdb" && !array) {
         throw InvalidInput(path + ": unknown extension '" + format +
-                           "'; point files are .vdb, .npy, .ply and .xyz");
+                           "'; point files are .vdb .npy .npz .ply .xyz .txt .csv .pts");
     }
-    if (format != "vdb" && !options.grid.empty()) {
-        throw InvalidInput(path + ": a ." + format + " file has no grids; leave the grid name '" +
-                           options.grid + "' out");
-    }
+    checkChoice(path, array, options);
     const InputFile file(path);
     const std::uint64_t allowedBytes =
         options.hostMemoryBytes ? options.hostMemoryBytes : availableMemoryBytes();
     const auto readFile = [&] {
-        if (format == "vdb") {
-            const CancelCheck cancel(options.progress, "read");
+        const CancelCheck cancel(options.progress, "read");
+        if (!array) {
             data.vdb.emplace(file, options.grid, allowedBytes, cancel, data.info);
             data.view = data.vdb->view();
         } else {
-            const CancelCheck cancel(options.progress, "read");
             cancel.update(0);
-            checkPointsFit(path, static_cast<std::size_t>(file.size()), allowedBytes);
-            data.view = readArray(file, allowedBytes, cancel, data.info);
+            checkPointsFit(path, file.size(), allowedBytes);
+            data.view =
+                readArray(file, *array, {options.columns, options.array}, allowedBytes, cancel, data.info);
             cancel.update(1);
         }
     };
@@ -230,6 +268,11 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
 const ParticleView& PointFile::view() const
 {
     return mData->view;
+}
+
+const std::vector<std::string>& PointFile::notes() const
+{
+    return mData->info.notes;
 }
 
 const PointFileInfo& PointFile::info() const

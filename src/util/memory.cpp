@@ -63,6 +63,14 @@ PageBlock::PageBlock(std::size_t bytes)
     madvise(mData, mBytes, MADV_HUGEPAGE); // advice: where it is refused, 4 KiB pages serve
 }
 
+void adviseHugePages(void* data, std::size_t bytes)
+{
+    const auto address = reinterpret_cast<std::uintptr_t>(data);
+    const std::uintptr_t begin = (address + kHugePage - 1) / kHugePage * kHugePage;
+    const std::uintptr_t end = (address + bytes) / kHugePage * kHugePage;
+    if (begin < end) madvise(reinterpret_cast<void*>(begin), end - begin, MADV_HUGEPAGE);
+}
+
 PageBlock::~PageBlock()
 {
     if (mData) munmap(mData, mBytes);

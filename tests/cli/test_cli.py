@@ -7,7 +7,7 @@ import unittest
 
 import cli_case
 
-MODULES = ["test_usage", "test_inputs", "test_outputs", "test_streams", "test_memory", "test_lists", "test_interrupt",
+MODULES = ["test_usage", "test_inputs", "test_formats", "test_outputs", "test_streams", "test_memory", "test_lists", "test_interrupt",
            "test_verify", "test_bench", "test_plan", "test_device"]  # test_cuda needs the program on emulated devices
 
 if __name__ == "__main__":

@@ -110,6 +110,21 @@ class Verify(CliCase):
         self.fails(2, "verify", self.input, self.lists, "-r", "0.1", "--sample", "0", says="--sample")
         self.fails(2, "verify", self.input, self.lists)
 
+    def test_files_of_other_programs(self):
+        """All that is kept with the tests: what search reads, verify's own readers understand alike."""
+        columns = {"kitti_n4.npy": ("--columns", "0,1,2")}
+        refused = {"undeclared_uv_points.ply", "undeclared_uv_points_bin.ply", "more_rows_than_header.ply"}
+        for name in sorted(os.listdir(self.data(""))):
+            with self.subTest(name):
+                args = (self.data(name), "-r", "300" if name == "int_xyz.ply" else "0.3", *columns.get(name, ()))
+                if name in refused:
+                    self.fails(3, "search", *args, says=name)
+                    self.fails(3, "verify", args[0], self.lists, *args[1:], says=name)
+                    continue
+                lists = self.path(name + ".npz")
+                self.succeeds("search", *args, "-o", lists, "-q")
+                self.succeeds("verify", args[0], lists, *args[1:])
+
     def test_too_little_memory(self):
         """Lists that do not fit are no fault of their file; a way of reading that needs less may pass."""
         points, large = self.npy("one_point.npy", np.zeros((4000, 3))), self.path("large.npz") # 80 MB

@@ -1,12 +1,11 @@
-// Fuzz target of the .npy reader: any bytes are positions or an InputError, and nothing else.
-#include "io/array_readers.h"
-#include "vdb_nns/error.h"
+// Fuzz target of the .npy reader.
+#include "fuzz/fuzz_reader.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const unsigned char* data, std::size_t size)
 {
-    try {
-        vdb_nns::parseNpy("fuzz.npy", {data, size});
-    } catch (const vdb_nns::InputError&) {
-    }
-    return 0;
+    return vdb_nns::readFuzzed(data, size, [](const vdb_nns::ArrayFile& file) {
+        vdb_nns::NpyLayout layout;
+        vdb_nns::ReadArray result;
+        vdb_nns::parseNpy(file, layout, result);
+    });
 }

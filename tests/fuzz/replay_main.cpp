@@ -2,7 +2,7 @@
 // from a fixed random sequence, for some seconds. A crash, a sanitizer's report or any exception but
 // InputError ends it. Of a binary format the seeds are the files of a folder, without their prefixes.
 //
-//   replay npy|ply|xyz|FOLDER [SECONDS [FIRST_SEED]]
+//   replay npy|ply|text|vtk|bgeo|FOLDER [SECONDS [FIRST_SEED]]
 #include <algorithm>
 #include <chrono>
 #include <cstddef>
@@ -60,7 +60,41 @@ std::vector<std::string> seedsOf(const std::string& format)
                 "ply\nformat binary_little_endian" + elements + rows,
                 "ply\nformat binary_big_endian" + elements + rows,
                 "ply\r\nformat ascii 1.0\r\nelement vertex 1\r\nproperty float x\r\nproperty float y\r\n"
-                "property float z\r\nend_header\r\n1 2 3\r\n"};
+                "property float z\r\nend_header\r\n1 2 3\r\n",
+                "ply\rcomment c\rformat ascii 1.0\relement a 1\rproperty list char int l\relement vertex 1\r"
+                "property float x\rproperty uint y\rproperty short z\rend_header\r1 7\r1.#QNAN 2 -3\r",
+                "ply\nformat binary_big_endian 1.0\nelement vertex 2\nproperty uchar x\nproperty short y\n"
+                "property double z\nelement edge 2\nproperty int a\nend_header\n" +
+                    std::string(30, '\x3f')};
+    }
+    if (format == "vtk") {
+        const std::string head = "# vtk DataFile Version 4.2\ntitle\n";
+        const std::string cells = "\nMETADATA\nINFORMATION 0\n\nVERTICES 1 2\n";
+        return {head + "ASCII\nDATASET POLYDATA\nPOINTS 2 float\n1 2 3 4 5e3 nan" + cells + "1 0\n",
+                head + "BINARY\nDATASET UNSTRUCTURED_GRID\nFIELD FieldData 2\nTIME 1 1 double\n" +
+                    std::string(8, '\0') + "\nMETADATA\nINFORMATION 0\n\ns 1 2 string\n\xC3" +
+                    "abc\xC0\nPOINTS 2 float\n" + std::string(24, '\x3f') + cells,
+                head + "BINARY\nDATASET POLYDATA\nVERTICES 2 1\nOFFSETS vtktypeint64\n" +
+                    std::string(16, '\0') + "\nCONNECTIVITY vtktypeint64\n" + std::string(8, '\0') +
+                    "\nPOINTS 1 long\n" + std::string(12, '\0'),
+                head + "ASCII\nDATASET STRUCTURED_GRID\nDIMENSIONS 1 1 1\nPOINTS 1 vtktypeuint64\n1 2 3\n"};
+    }
+    if (format == "bgeo") {
+        const auto big = [](int value) {
+            std::string bytes;
+            for (int shift = 24; shift >= 0; shift -= 8) bytes += static_cast<char>(value >> shift);
+            return bytes;
+        };
+        const auto head = [&](int points, int attributes) {
+            return "BgeoV" + big(5) + big(points) + big(0) + big(0) + big(0) + big(attributes) + big(0) +
+                   big(0) + big(0);
+        };
+        const std::string id = std::string("\0\2id\0\1", 6) + big(1) + big(0);
+        const std::string name = std::string("\0\1s\0\1", 5) + big(4) + big(1) + std::string("\0\2ab", 4);
+        // A gzip file, to be mutated.
+        const std::string packed("\x1f\x8b\x08\0\0\0\0\0\2\xff\xab\0\x83\x16\xdc\x8c\1\0\0\0", 20);
+        return {head(2, 0) + std::string(32, '\x3f') + std::string("\0\xff", 2),
+                head(1, 2) + id + name + std::string(24, '\x3f'), packed, "\x7fNSJb", "scf1"};
     }
     return {"1 2 3\n4 5 6\n", "# c\r\n 0.1\t+2 -3e400 x y\r\n\r\nnan inf -inf\n", "3\nH 1 2 3\n", "1 2\n",
             "1e-400 2 3"};
@@ -121,7 +155,7 @@ void run(const std::string& input)
 int main(int argc, char** argv)
 {
     if (argc < 2) {
-        std::fprintf(stderr, "usage: replay npy|ply|xyz|FOLDER [SECONDS [FIRST_SEED]]\n");
+        std::fprintf(stderr, "usage: replay npy|ply|text|vtk|bgeo|FOLDER [SECONDS [FIRST_SEED]]\n");
         return 2;
     }
     const bool isFolder = std::filesystem::is_directory(argv[1]);

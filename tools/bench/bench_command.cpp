@@ -219,7 +219,7 @@ BenchPlan checkFlags(const BenchFlags& flags)
 BenchPoints loadPoints(const BenchFlags& flags, const BenchPlan& plan, ProgressPrinter& progress)
 {
     const bool asFloats = plan.shuffleSeed || !flags.pointsOut.empty();
-    const PointFileOptions file{flags.input.grid, plan.options.hostMemoryBytes, &progress};
+    const PointFileOptions file = pointFileOptions(flags.input, plan.options.hostMemoryBytes, &progress);
     BenchPoints points = plan.scene ? sceneBenchPoints(*plan.scene, &progress)
                                     : fileBenchPoints(flags.input.path, file, asFloats);
     if (plan.shuffleSeed) shuffle(points, *plan.shuffleSeed);
@@ -369,8 +369,18 @@ private:
     // Of the file, or of a scene in one.
     FileStudyOptions fileOptions()
     {
-        FileStudyOptions options{mFlags.input.path, mFlags.input.grid, mSetup.options,
-                                 mRadius,           mThreads,          mPlan.repeat};
+        FileStudyOptions options;
+        options.path = mFlags.input.path;
+        options.input = pointFileOptions(mFlags.input, mSetup.options.hostMemoryBytes, &mProgress);
+        for (const auto& [flag, value] : {std::pair<const char*, std::string>("-g", mFlags.input.grid),
+                                          {"--columns", mFlags.input.columns},
+                                          {"--array", mFlags.input.array}}) {
+            if (!value.empty()) options.inputFlags.insert(options.inputFlags.end(), {flag, value});
+        }
+        options.search = mSetup.options;
+        options.radius = mRadius;
+        options.threads = mThreads;
+        options.repeat = mPlan.repeat;
         if (!mPlan.scene) return options;
         mFolder.emplace();
         options.path = mFolder->file(mPlan.scene->name + ".vdb");

@@ -9,6 +9,7 @@
 #include <cctype>
 #include <cmath>
 #include <filesystem>
+#include <sstream>
 
 namespace vdb_nns::cli {
 namespace {
@@ -99,12 +100,33 @@ void addInputFlags(CLI::App& app, InputFlags& flags, bool withRadius)
     app.add_option("-g,--grid", flags.grid, "point grid of a .vdb; default: the only one")
         ->type_name("NAME")
         ->check(notEmpty());
+    app.add_option("--columns", flags.columns,
+                   "columns of a text, an .npy or an .npz that are x, y and z, from 0, e.g. 1,2,3; default: "
+                   "what the file "
+                   "says, else the first three")
+        ->type_name("LIST")
+        ->check(notEmpty());
+    app.add_option("--array", flags.array, "array of an .npz; default: the only one")
+        ->type_name("NAME")
+        ->check(notEmpty());
     if (withRadius) {
         app.add_option("-r,--radius", flags.radius,
                        "radius in world units; default: the one the file suggests")
             ->type_name("RADIUS")
             ->check(notEmpty());
     }
+}
+
+PointFileOptions pointFileOptions(const InputFlags& flags, std::uint64_t hostMemoryBytes, Progress* progress)
+{
+    PointFileOptions options{flags.grid, hostMemoryBytes, progress, {}, flags.array};
+    if (flags.columns.empty()) return options;
+    std::istringstream parts(flags.columns);
+    for (std::string part; std::getline(parts, part, ',');)
+        options.columns.push_back(static_cast<std::uint32_t>(parseRange(part, "--columns", 0, 65535)));
+    if (options.columns.size() != 3 || flags.columns.back() == ',')
+        throw InvalidInput("--columns: '" + flags.columns + "' are not three numbers; give e.g. 0,1,2");
+    return options;
 }
 
 void addEngineFlags(CLI::App& app, EngineFlags& flags)

@@ -4,6 +4,7 @@
 #include "progress_printer.h"
 #include "vdb_nns/output.h"
 #include "vdb_nns/particle_view.h"
+#include "vdb_nns/point_file.h"
 #include "vdb_nns/scene.h"
 #include "vdb_nns/search_options.h"
 
@@ -48,9 +49,13 @@ bool jsonToStdout(const CommonFlags& flags);
 
 /// Which particles and which radius.
 struct InputFlags {
-    std::string path, grid, radius;
+    std::string path, grid, radius, columns, array;
 };
 void addInputFlags(CLI::App& app, InputFlags& flags, bool withRadius);
+/// @throws InvalidInput for columns that are not three numbers
+PointFileOptions pointFileOptions(const InputFlags& flags, std::uint64_t hostMemoryBytes, Progress* progress);
+/// What the help says of an input.
+constexpr const char* kInputHelp = "point file: .vdb .npy .npz .ply .xyz .txt .csv .pts";
 
 /// How the engine searches.
 struct EngineFlags {

@@ -21,7 +21,7 @@ int describeFile(const InfoFlags& flags, Session& session)
 {
     ProgressPrinter progress(progressMode(flags.common));
     progress.begin("read", 0, 1);
-    const PointFile file = PointFile::read(flags.input.path, {flags.input.grid, 0, &progress});
+    const PointFile file = PointFile::read(flags.input.path, pointFileOptions(flags.input, 0, &progress));
     session.path = flags.input.path;
     const PointFileInfo& info = file.info();
     throwIfStopped();
@@ -44,9 +44,7 @@ Command addInfoCommand(CLI::App& app)
 {
     CLI::App* command = app.add_subcommand("info", "show what is in a point file");
     const auto flags = std::make_shared<InfoFlags>();
-    command->add_option("IN", flags->input.path, "point file: .vdb .npy .ply .xyz")
-        ->required()
-        ->check(notEmpty());
+    command->add_option("IN", flags->input.path, kInputHelp)->required()->check(notEmpty());
     addInputFlags(*command, flags->input, false);
     addCommonFlags(*command, flags->common);
     return {command, [flags](Session& session) { return runInfoCommand(*flags, session); }};

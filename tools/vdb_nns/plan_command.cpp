@@ -33,7 +33,7 @@ struct PlanFlags {
 
 void addFlags(CLI::App& app, PlanFlags& flags)
 {
-    app.add_option("IN", flags.input.path, "point file: .vdb .npy .ply .xyz")->required()->check(notEmpty());
+    app.add_option("IN", flags.input.path, kInputHelp)->required()->check(notEmpty());
     addInputFlags(app, flags.input, true);
     addDeviceFlags(app, flags.device);
     addEngineFlags(app, flags.engine);

@@ -2,6 +2,7 @@
 
 #include "exit_codes.h"
 #include "machine.h"
+#include "standard_streams.h"
 #include "vdb_nns/error.h"
 
 namespace vdb_nns::cli {
@@ -34,8 +35,11 @@ PointFile readPoints(const InputFlags& input, const PointNeeds& needs, const Pro
 {
     span.printer.begin("read", span.begin, span.end);
     const Stopwatch watch;
-    PointFile file =
-        PointFile::read(input.path, {input.grid, bytesForReading(needs.hostMemoryBytes), &span.printer});
+    PointFile file = PointFile::read(
+        input.path, pointFileOptions(input, bytesForReading(needs.hostMemoryBytes), &span.printer));
+    if (!needs.quiet) {
+        for (const std::string& note : file.notes()) say(input.path + ": " + note);
+    }
     report.seconds.read = watch.seconds();
     checkPeak(needs.hostMemoryBytes);
     report.path = session.path = input.path;

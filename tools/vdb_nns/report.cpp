@@ -43,6 +43,8 @@ Json inputJson(const SearchReport& report)
     input["voxel_size"] = known ? orNull(report.info->voxelSize) : Json(nullptr);
     input["codec"] = known ? Json(report.info->codec) : Json(nullptr);
     input["transform"] = known ? Json(report.info->transform) : Json(nullptr);
+    input["taken"] = known && !report.info->taken.empty() ? Json(report.info->taken) : Json(nullptr);
+    input["notes"] = known ? Json(report.info->notes) : Json::array();
     return input;
 }
 
@@ -441,6 +443,8 @@ std::string infoJson(const PointFileInfo& info)
     json["bbox"] = orNull(info.bbox);
     json["attributes"] = attributesJson(info.attributes);
     json["suggested_radius"] = orNull(info.suggestedRadius);
+    json["taken"] = info.taken.empty() ? Json(nullptr) : Json(info.taken);
+    json["notes"] = info.notes;
     return dump(json);
 }
 
@@ -458,6 +462,8 @@ std::string infoText(const PointFileInfo& info)
         }
     }
     text += line("codec", info.codec);
+    if (!info.taken.empty()) text += line("taken", info.taken);
+    for (const std::string& note : info.notes) text += line("note", note);
     if (info.bbox) {
         const Vec3d &low = (*info.bbox)[0], &high = (*info.bbox)[1];
         text +=

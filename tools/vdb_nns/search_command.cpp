@@ -45,7 +45,7 @@ struct SearchPlan {
 
 void addFlags(CLI::App& app, SearchFlags& flags)
 {
-    app.add_option("IN", flags.input.path, "point file: .vdb .npy .ply .xyz")->required()->check(notEmpty());
+    app.add_option("IN", flags.input.path, kInputHelp)->required()->check(notEmpty());
     app.add_option("-o,--output", flags.outputs,
                    "write neighbor lists (.npz) or the points with result attributes (.vdb); may be repeated")
         ->type_name("OUT")

@@ -9,12 +9,14 @@
 #include "vdb_nns/error.h"
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/version.h"
+#include "verify/array_points.h"
 #include "verify/independent_search.h"
 #include "verify/lists_reader.h"
 
 #include <cmath>
 #include <memory>
 #include <nlohmann/json.hpp>
+#include <optional>
 
 namespace vdb_nns::cli {
 namespace {
@@ -93,21 +95,36 @@ std::string verifyText(const VerifyReport& report, double seconds)
            (report.passed() ? "result      the lists are right\n" : "result      the lists are WRONG\n");
 }
 
+// The positions that verify reads itself: none of a .vdb.
+// @throws CheckFailed where the engine's reader understands the file differently
+std::optional<Positions> readOwnPoints(const PointFile& file, const std::string& path,
+                                       const PointFileOptions& options)
+{
+    if (!isArrayPointFile(path)) return std::nullopt;
+    Positions own = readArrayPoints(path, options);
+    if (const std::optional<std::string> difference = findDifference(path, file.view(), own))
+        throw CheckFailed(*difference);
+    return own;
+}
+
 int verifyFile(const VerifyFlags& flags, const VerifyOptions& options, Session& session)
 {
     const Stopwatch watch;
     ProgressPrinter progress(progressMode(flags.common));
     progress.begin("read", 0, 0.2);
-    const PointFile file = PointFile::read(flags.input.path, {flags.input.grid, 0, &progress});
+    const PointFileOptions inputOptions = pointFileOptions(flags.input, 0, &progress);
+    const PointFile file = PointFile::read(flags.input.path, inputOptions);
     session.path = flags.input.path;
     session.grid = flags.input.grid;
     session.otherPath = flags.lists;
+    const std::optional<Positions> own = readOwnPoints(file, flags.input.path, inputOptions);
+    const ParticleView points = own ? ParticleView::fromArray(own->data(), own->size() / 3) : file.view();
     const std::optional<double> suggested =
         flags.input.radius.empty() ? file.info().suggestedRadius : std::optional<double>();
     const double radius = chooseRadius(flags.input.radius, suggested, flags.input.path, flags.common.quiet);
     const ListsFile lists = ListsFile::open(flags.lists, &progress);
     progress.begin("verify", 0.2, 1);
-    const VerifyReport report = verifyLists(file.view(), radius, lists, options, &progress);
+    const VerifyReport report = verifyLists(points, radius, lists, options, &progress);
     throwIfStopped();
     progress.finish();
     deliverJson(flags.common.json, verifyJson(flags, radius, report, watch.seconds()),

@@ -2,6 +2,8 @@
 // openvdb::initialize() registers.
 #include "io/vdb/attribute_type.h"
 
+#include "io/half_float.h"
+
 #include <algorithm>
 #include <cstring>
 #include <iterator>
@@ -64,25 +66,6 @@ bool isFor(const Codec& codec, const std::string& type)
 {
     if (!codec.type) return type != "uint8" && type != "uint32";
     return type == codec.type || (codec.otherType && type == codec.otherType);
-}
-
-// Exact: every half is a float.
-float floatOfHalf(std::uint16_t half)
-{
-    const std::uint32_t sign = std::uint32_t(half & 0x8000u) << 16;
-    const std::uint32_t magnitude = half & 0x7FFFu;
-    std::uint32_t bits = 0;
-    if (magnitude >= 0x7C00u) { // infinite or NaN
-        bits = sign | 0x7F800000u | (magnitude & 0x3FFu) << 13;
-    } else if (magnitude >= 0x400u) {
-        bits = sign | ((magnitude << 13) + (std::uint32_t(127 - 15) << 23));
-    } else {
-        const float value = static_cast<float>(magnitude) * 0x1p-24f; // of which the exponent is the smallest
-        return sign ? -value : value;
-    }
-    float value;
-    std::memcpy(&value, &bits, sizeof value);
-    return value;
 }
 
 template <typename Stored, typename Decode>

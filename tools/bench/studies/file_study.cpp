@@ -66,10 +66,7 @@ public:
     }
 
 private:
-    PointFile readFile() const
-    {
-        return PointFile::read(mOptions.path, {mOptions.grid, mOptions.search.hostMemoryBytes, mProgress});
-    }
+    PointFile readFile() const { return PointFile::read(mOptions.path, mOptions.input); }
 
     void searchWarm(FileResult& result)
     {
@@ -125,7 +122,7 @@ private:
                                             shortest(mOptions.radius),
                                             "-T",
                                             std::to_string(mOptions.threads)};
-        if (!mOptions.grid.empty()) command.insert(command.end(), {"-g", mOptions.grid});
+        command.insert(command.end(), mOptions.inputFlags.begin(), mOptions.inputFlags.end());
         const Stopwatch watch;
         runChild(command);
         return watch.seconds();

@@ -29,8 +29,9 @@ struct FileResult {
 };
 
 struct FileStudyOptions {
-    std::string path; ///< of the point file
-    std::string grid;
+    std::string path;                    ///< of the point file
+    PointFileOptions input;              ///< how it is read
+    std::vector<std::string> inputFlags; ///< the same, as flags of the program
     SearchOptions search;
     double radius = 0;
     int threads = 0;

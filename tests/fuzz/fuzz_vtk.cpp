@@ -1,0 +1,9 @@
+// Fuzz target of the .vtk reader.
+#include "fuzz/fuzz_reader.h"
+
+extern "C" int LLVMFuzzerTestOneInput(const unsigned char* data, std::size_t size)
+{
+    return vdb_nns::readFuzzed(data, size, [](const vdb_nns::ArrayFile& file) {
+        if (file.choice.columns.empty()) vdb_nns::parseVtk(file); // a choice changes nothing
+    });
+}

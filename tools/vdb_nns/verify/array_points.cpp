@@ -1,0 +1,105 @@
+#include "array_points.h"
+
+#include "file_pieces.h"
+#include "point_formats.h"
+#include "throw_if_cancelled.h"
+#include "vdb_nns/error.h"
+
+#include <algorithm>
+#include <cctype>
+#include <cmath>
+#include <cstdio>
+#include <cstring>
+
+namespace vdb_nns::cli {
+
+namespace {
+
+using Reader = Positions (*)(const PointInput&);
+
+// Null for other extensions.
+Reader readerOf(const std::string& path)
+{
+    const std::size_t dot = path.find_last_of("./");
+    if (dot == std::string::npos || path[dot] != '.') return nullptr;
+    std::string extension = path.substr(dot + 1);
+    for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+    for (const char* text : {"xyz", "txt", "csv", "pts"}) {
+        if (extension == text) return readTextPoints;
+    }
+    if (extension == "npy") return readNpyPoints;
+    if (extension == "npz") return readNpzPoints;
+    if (extension == "ply") return readPlyPoints;
+    if (extension == "vtk") return readVtkPoints;
+    if (extension == "bgeo") return readBgeoPoints;
+    return nullptr;
+}
+
+bool isSame(double a, double b)
+{
+    return (std::isnan(a) && std::isnan(b)) || std::memcmp(&a, &b, sizeof a) == 0;
+}
+
+std::string pointText(const double* point)
+{
+    char text[3 * 32];
+    std::snprintf(text, sizeof text, "(%.17g, %.17g, %.17g)", point[0], point[1], point[2]);
+    return text;
+}
+
+} // namespace
+
+void PointInput::fail(const std::string& what) const
+{
+    throw InputError(path + ": " + what);
+}
+
+void PointInput::checkColumn(std::uint64_t column, std::uint64_t width) const
+{
+    if (column < width) return;
+    throw InvalidInput(path + ": has no column " + std::to_string(column) + " (--columns): it has " +
+                       std::to_string(width) + ", from 0");
+}
+
+void PointInput::checkCancelled() const
+{
+    throwIfCancelled(options.progress);
+}
+
+std::string PointInput::bytes() const
+{
+    const FilePieces file(path);
+    std::string bytes(static_cast<std::size_t>(file.size()), '\0');
+    file.read(0, bytes.data(), bytes.size());
+    return bytes;
+}
+
+bool isArrayPointFile(const std::string& path)
+{
+    return readerOf(path) != nullptr;
+}
+
+Positions readArrayPoints(const std::string& path, const PointFileOptions& options)
+{
+    const Reader read = readerOf(path);
+    if (!read) throw InvalidInput(path + ": is no file of an array or a text");
+    return read({path, options});
+}
+
+std::optional<std::string> findDifference(const std::string& path, const ParticleView& engine,
+                                          const Positions& own)
+{
+    const std::size_t ownSize = own.size() / 3;
+    for (std::size_t i = 0; i < std::min(engine.size(), ownSize); ++i) {
+        const StoredPosition position = engine.stored(i);
+        const double* const point = own.data() + 3 * i;
+        if (std::equal(point, point + 3, position.offset, isSame)) continue;
+        return path + ": point " + std::to_string(i) + " is " + pointText(position.offset) +
+               " to the engine's reader and " + pointText(point) + " to verify's own";
+    }
+    if (engine.size() == ownSize) return std::nullopt;
+    return path + ": has " + std::to_string(engine.size()) + " points to the engine's reader and " +
+           std::to_string(ownSize) + " to verify's own";
+}
+
+} // namespace vdb_nns::cli

@@ -1,0 +1,34 @@
+// The positions of an array or text file, by readers that share no code with the engine's: what
+// PointFile::read() misunderstands, `search` and `verify` would else misunderstand alike. They are written
+// from the descriptions of the formats, plainly and sequentially. A .vdb has no second reader: only OpenVDB
+// knows the format, and the tests compare it with ours.
+#pragma once
+
+#include "vdb_nns/particle_view.h"
+#include "vdb_nns/point_file.h"
+
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace vdb_nns::cli {
+
+// x y z triples in the file's order. Every number that a format has is exact in double, or refused.
+using Positions = std::vector<double>;
+
+// Whether the extension is one that readArrayPoints() reads: .npy .npz .ply .vtk .bgeo .xyz .txt .csv .pts,
+// in any case.
+bool isArrayPointFile(const std::string& path);
+
+// Reads such a file. Of the options, `columns`, `array` and `progress` count.
+// @throws InvalidInput for a column or an array that the file does not have
+// @throws InputError for a file that cannot be read or is not understood whole
+// @throws Cancelled
+Positions readArrayPoints(const std::string& path, const PointFileOptions& options = {});
+
+// The sentence about the first point that two readers of `path` understand differently, or about their number
+// of points; nothing where all coordinates are the same to the bit, NaN being the same as NaN.
+std::optional<std::string> findDifference(const std::string& path, const ParticleView& engine,
+                                          const Positions& own);
+
+} // namespace vdb_nns::cli
