@@ -1,6 +1,6 @@
 // What the header of a .ply file says, and its reader: the elements of the file and the properties of each. A
-// header of its own for the sake of its length; ply_reader.cpp is its only user. Lines end with LF or CR LF; where the
-// first one ends with a lone CR, all do. Comments may stand anywhere behind the first line.
+// header of its own for the sake of its length; ply_reader.cpp is its only user. Lines end with LF or CR LF;
+// where the first one ends with a lone CR, all do. Comments may stand anywhere behind the first line.
 #pragma once
 
 #include "io/array_readers.h"

@@ -372,7 +372,8 @@ TEST(PlyReader, readsTextInChunks)
     EXPECT_ERROR(parsedPly(plyHeader("ascii", elements) + rows + "1 1\n1 1\n"), "1 line, 4 bytes, left over");
 }
 
-// ------------------------------------------------------------------------------------------------ any valid file
+// ------------------------------------------------------------------------------------------------ any valid
+// file
 
 struct Property {
     const char* type;
