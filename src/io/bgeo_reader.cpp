@@ -100,7 +100,10 @@ private:
             throw InputError(
                 mFile.path +
                 ": is not a classic .bgeo file: it does not begin with 'BgeoV', plain or compressed "
-                "with gzip");
+                "with gzip, but with '" +
+                shownText({reinterpret_cast<const char*>(mFile.bytes.data()),
+                           std::min(mFile.bytes.size(), std::size_t(5))}) +
+                "'; docs/formats.md says how to convert other files");
         }
         const auto version = at<std::int32_t>(5);
         if (version != 5)

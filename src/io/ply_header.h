@@ -84,7 +84,8 @@ public:
         findLineEnds();
         readLine();
         if (mWords.size() != 1 || mWords[0] != "ply") {
-            throw InputError(mPath + ": is not a .ply file: its first line is not 'ply'");
+            throw InputError(mPath + ": is not a .ply file: its first line is not 'ply' but '" +
+                             shownText(mWords.empty() ? std::string_view() : mWords[0]) + "'");
         }
         bool hasFormat = false;
         for (readLine(); mWords.empty() || mWords[0] != "end_header"; readLine()) {

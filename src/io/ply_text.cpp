@@ -307,7 +307,8 @@ private:
         what += ")";
         if (surplus) {
             what += "; left over behind the last one: " + counted(countValues(surplus, end), "value") + ", " +
-                    counted(static_cast<std::uint64_t>(end - surplus), "byte");
+                    counted(static_cast<std::uint64_t>(end - surplus), "byte") +
+                    "; write a header that declares all there is";
         } else if (end == mEnd) {
             what += "; the file is truncated";
         }

@@ -117,7 +117,7 @@ TEST(BgeoReader, saysWhatWeightsAre)
 TEST(BgeoReader, refusesOtherFiles)
 {
     EXPECT_ERROR(readBgeo(""), "not a classic .bgeo file");
-    EXPECT_ERROR(readBgeo("Bgeo"), "not a classic .bgeo file");
+    EXPECT_ERROR(readBgeo("PGEOMETRY V5"), "with gzip, but with 'PGEOM'");
     EXPECT_ERROR(readBgeo("\x7fNSJb and more"), "Houdini 12 and later (binary JSON)");
     EXPECT_ERROR(readBgeo("\x7fNSJb and more"), ".bhclassic");
     EXPECT_ERROR(readBgeo("scf1 and more"), "compressed with Blosc (.bgeo.sc)");
