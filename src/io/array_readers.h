@@ -73,17 +73,20 @@ bool parseNpy(const ArrayFile& file, NpyLayout& layout, ReadArray& result);
 ReadArray parseNpz(const ArrayFile& file);
 
 // The Stanford polygon format: ascii, binary little-endian or big-endian; x y z of element `vertex` of any type of number.
-// Other elements and properties, lists too, are walked over. http://paulbourke.net/dataformats/ply/
+// Other elements and properties, lists too, are walked over; behind whole vertices they may be damaged, and a note
+// says so. http://paulbourke.net/dataformats/ply/
 ReadArray parsePly(const ArrayFile& file);
 
 // Text: the grammar stands beside the code.
 ReadArray parseText(const ArrayFile& file);
 
-// VTK's legacy format: the POINTS of any kind of data set, ascii or binary.
+// VTK's legacy format, versions 1.0 to 5.1: the POINTS of a data set that has some, ascii or binary. What follows the points
+// is not needed and not read, but a section or the end of the file has to begin there.
 // https://docs.vtk.org/en/latest/vtk_file_formats/vtk_legacy_file_format.html
 ReadArray parseVtk(const ArrayFile& file);
 
-// Houdini's classic .bgeo, version 5: the points of the geometry. http://www.sidefx.com/docs/hdk/_h_d_k__g_a__using.html
+// Houdini's classic .bgeo, version 5, plain or compressed with gzip: the points of the geometry, not divided by their weights.
+// http://www.sidefx.com/docs/houdini/io/formats/geo.html
 ReadArray parseBgeo(const ArrayFile& file);
 
 // Throws the CapacityError of a file whose points need more than may be taken.

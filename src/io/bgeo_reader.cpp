@@ -1,14 +1,17 @@
-// The reader of Houdini's classic .bgeo, version 5, plain or compressed with gzip as Partio and SPlisHSPlasH write it. All
-// numbers are big-endian:
+// The reader of Houdini's classic .bgeo, version 5, plain or compressed with gzip as Partio and SPlisHSPlasH
+// write it. All numbers are big-endian:
 //
 //   'Bgeo' 'V' int32 5
-//   int32 points, primitives, point groups, primitive groups, attributes of points, of vertices, of primitives, of the whole
+//   int32 points, primitives, point groups, primitive groups,
+//         attributes of points, of vertices, of primitives, of the whole
 //   for each attribute of points: uint16 length and name, uint16 size, int32 type, and then
-//       0 float, 1 int, 5 vector: `size` default values of 4 bytes;  4 indexed string: int32 count of strings, each with uint16 length
+//       0 float, 1 int, 5 vector: `size` default values of 4 bytes
+//       4 indexed string: int32 count of strings, each with uint16 length
 //   for each point: float x, y, z, w, and the values of its attributes, 4 bytes each
 //
-// What is read is x, y and z. As in Partio, they are not divided by w, the weight of a spline's control point. Of what
-// follows the points only the end is checked, where the header declares nothing but points: 0x00 0xff, or nothing.
+// What is read is x, y and z. As in Partio, they are not divided by w, the weight of a spline's control
+// point. Of what follows the points only the end is checked, where the header declares nothing but points:
+// 0x00 0xff, or nothing.
 #include "io/fixed_rows.h"
 
 #include "vdb_nns/error.h"
@@ -97,7 +100,10 @@ private:
             throw InputError(
                 mFile.path +
                 ": is not a classic .bgeo file: it does not begin with 'BgeoV', plain or compressed "
-                "with gzip");
+                "with gzip, but with '" +
+                shownText({reinterpret_cast<const char*>(mFile.bytes.data()),
+                           std::min(mFile.bytes.size(), std::size_t(5))}) +
+                "'; docs/formats.md says how to convert other files");
         }
         const auto version = at<std::int32_t>(5);
         if (version != 5)

@@ -1,4 +1,5 @@
-// Rows of one width that hold x, y and z as numbers of any type, each at its place: the bodies of binary files.
+// Rows of one width that hold x, y and z as numbers of any type, each at its place: the bodies of binary
+// files.
 #pragma once
 
 #include "io/array_readers.h"
@@ -24,7 +25,8 @@ struct FixedRows {
 // Throws InputError where an integer is beyond 2^53, CapacityError where they do not fit.
 PositionArray readFixedRows(const ArrayFile& file, const FixedRows& rows);
 
-// Throws InputError unless that many points can be numbered, CapacityError unless they fit the memory allowed.
+// Throws InputError unless that many points can be numbered, CapacityError unless they fit the memory
+// allowed.
 void checkPointCount(const ArrayFile& file, std::uint64_t count, bool isDouble);
 
 } // namespace vdb_nns

@@ -104,8 +104,8 @@ inline const char* endOfToken(const char* next, const char* end)
     return next;
 }
 
-// What is not finite is spelled in many ways: nan, inf and infinity in any case, nan(ind), and 1.#QNAN, 1.#IND or 1.#INF00
-// by Microsoft's older library. Returns false for any other text.
+// What is not finite is spelled in many ways: nan, inf and infinity in any case, nan(ind), and 1.#QNAN,
+// 1.#IND or 1.#INF00 by Microsoft's older library. Returns false for any other text.
 template <typename Real>
 bool readNonfinite(std::string_view text, Real& value)
 {
@@ -131,8 +131,8 @@ bool readNonfinite(std::string_view text, Real& value)
     return false;
 }
 
-// Whether a number that is written out of its type's range is too large; else it is too small, which is zero. By its digits
-// alone: the C library reads points as the locale says.
+// Whether a number that is written out of its type's range is too large; else it is too small, which is zero.
+// By its digits alone: the C library reads points as the locale says.
 inline bool isTooLarge(std::string_view text)
 {
     std::int64_t power = 0; // of ten, of the first digit that is not zero
@@ -161,8 +161,9 @@ constexpr const char* kIsNoInteger = "is not an integer";
 constexpr const char* kIsOutOfRange = "is beyond its type's range";
 constexpr const char* kIsInexact = "is an integer beyond 2^53, which no double holds exactly";
 
-// Reads the number of type `Number` that the text from `next` to a space or `end` is, and nothing less. Returns null, and
-// `next` stands behind it, or what is wrong with that text, and `next` stays. Reals are the nearest of their type.
+// Reads the number of type `Number` that the text from `next` to a space or `end` is, and nothing less.
+// Returns null, and `next` stands behind it, or what is wrong with that text, and `next` stays. Reals are the
+// nearest of their type.
 template <typename Number, typename Real>
 const char* readTextNumber(const char*& next, const char* end, Real& out)
 {

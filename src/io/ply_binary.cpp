@@ -1,4 +1,5 @@
-// Bodies of binary .ply files. Rows of one width are converted in parallel; where a row holds lists, it is walked over.
+// Bodies of binary .ply files. Rows of one width are converted in parallel; where a row holds lists, it is
+// walked over.
 #include "io/fixed_rows.h"
 #include "io/ply_body.h"
 
@@ -9,7 +10,8 @@ namespace vdb_nns {
 namespace {
 
 constexpr std::uint64_t kUnlimitedRows = std::numeric_limits<std::uint64_t>::max();
-// Rows that may be looked at in the search for values that the header does not declare: some tenths of a second.
+// Rows that may be looked at in the search for values that the header does not declare: some tenths of a
+// second.
 constexpr std::uint64_t kSearchedRows = std::uint64_t(1) << 24;
 constexpr std::uint64_t kMostHiddenBytes = 64; // of a row: eight doubles
 
@@ -205,8 +207,8 @@ private:
         result.notes.push_back(forgivenNote(mBody, walk.what, "byte " + std::to_string(walk.next)));
     }
 
-    // What is too much, if the elements behind the vertices do not end where the file does, but would if each vertex held some
-    // bytes more, or if there were more of them.
+    // What is too much, if the elements behind the vertices do not end where the file does, but would if each
+    // vertex held some bytes more, or if there were more of them.
     std::string findHiddenValues(std::size_t begin, std::size_t end) const
     {
         if (mVertex.count == 0 || mVertex.hasLists()) return {};

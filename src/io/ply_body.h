@@ -18,8 +18,9 @@ struct PlyBody {
     const PlyProperty& coordinate(std::size_t k) const { return vertexElement().properties[property[k]]; }
 };
 
-// Both throw InputError unless all vertices are there as the header declares them, and where something is left over behind
-// the last row of the last element. Elements behind the vertices may be cut off or damaged: a note says so.
+// Both throw InputError unless all vertices are there as the header declares them, and where something is
+// left over behind the last row of the last element. Elements behind the vertices may be cut off or damaged:
+// a note says so.
 ReadArray readPlyText(const PlyBody& body);
 ReadArray readPlyBinary(const PlyBody& body);
 

@@ -1,6 +1,6 @@
 // What the header of a .ply file says, and its reader: the elements of the file and the properties of each. A
-// header of its own for the sake of its length; ply_reader.cpp is its only user. Lines end with LF or CR LF; where the
-// first one ends with a lone CR, all do. Comments may stand anywhere behind the first line.
+// header of its own for the sake of its length; ply_reader.cpp is its only user. Lines end with LF or CR LF;
+// where the first one ends with a lone CR, all do. Comments may stand anywhere behind the first line.
 #pragma once
 
 #include "io/array_readers.h"
@@ -84,7 +84,8 @@ public:
         findLineEnds();
         readLine();
         if (mWords.size() != 1 || mWords[0] != "ply") {
-            throw InputError(mPath + ": is not a .ply file: its first line is not 'ply'");
+            throw InputError(mPath + ": is not a .ply file: its first line is not 'ply' but '" +
+                             shownText(mWords.empty() ? std::string_view() : mWords[0]) + "'");
         }
         bool hasFormat = false;
         for (readLine(); mWords.empty() || mWords[0] != "end_header"; readLine()) {

@@ -1,5 +1,5 @@
-// The .ply reader. A header names elements and their properties; the rows follow as text (ply_text.cpp) or as packed
-// binary values (ply_binary.cpp).
+// The .ply reader. A header names elements and their properties; the rows follow as text (ply_text.cpp) or as
+// packed binary values (ply_binary.cpp).
 #include "io/fixed_rows.h"
 #include "io/ply_body.h"
 

@@ -1,5 +1,6 @@
-// Bodies of ascii .ply files. A row is a line: cut at line ends into chunks, whose lines are counted, so that each chunk
-// knows the number of its first row, and then read in parallel to where they belong. Blank lines are no rows.
+// Bodies of ascii .ply files. A row is a line: cut at line ends into chunks, whose lines are counted, so that
+// each chunk knows the number of its first row, and then read in parallel to where they belong. Blank lines
+// are no rows.
 #include "io/fixed_rows.h"
 #include "io/ply_body.h"
 #include "io/text_rows.h"
@@ -141,7 +142,8 @@ private:
         return found ? static_cast<const char*>(found) : end;
     }
 
-    // Calls use(first, end) with the first value and the end of each line that is not blank, until it returns false.
+    // Calls use(first, end) with the first value and the end of each line that is not blank, until it returns
+    // false.
     template <typename Use>
     void forEachLine(const Chunk& chunk, const Use& use) const
     {
@@ -305,14 +307,16 @@ private:
         what += ")";
         if (surplus) {
             what += "; left over behind the last one: " + counted(countValues(surplus, end), "value") + ", " +
-                    counted(static_cast<std::uint64_t>(end - surplus), "byte");
+                    counted(static_cast<std::uint64_t>(end - surplus), "byte") +
+                    "; write a header that declares all there is";
         } else if (end == mEnd) {
             what += "; the file is truncated";
         }
         fault = Fault{first, std::move(what)};
     }
 
-    // ---------------------------------------------------------------------------------------- behind the vertices
+    // ---------------------------------------------------------------------------------------- behind the
+    // vertices
 
     void checkLaterRows(std::uint64_t lines, ReadArray& result) const
     {

@@ -39,8 +39,8 @@ std::string attribute(const std::string& text, std::uint16_t size, std::int32_t 
                       : big<std::int32_t>(std::vector<std::int32_t>(size)));
 }
 
-// The counts behind the points' are of primitives, point groups, primitive groups, attributes of points, of vertices, of
-// primitives and of the whole.
+// The counts behind the points' are of primitives, point groups, primitive groups, attributes of points, of
+// vertices, of primitives and of the whole.
 std::string head(std::int32_t points, std::int32_t attributes, std::int32_t primitives = 0,
                  std::int32_t version = 5)
 {
@@ -76,7 +76,8 @@ TEST(BgeoReader, readsPoints)
     }
     EXPECT_EQ(readBgeo(head(0, 0) + kEnd).positions.size(), 0u);
 
-    // Attributes of every type that is read; what stands behind the points is not looked at if it is declared.
+    // Attributes of every type that is read; what stands behind the points is not looked at if it is
+    // declared.
     const std::string attributes = attribute("id", 1, 1) + attribute("mass", 1, 0) + attribute("v", 3, 5) +
                                    attribute("name", 1, 4) + attribute("uv", 2, 0) + attribute("", 0, 1);
     const std::string rows =
@@ -116,7 +117,7 @@ TEST(BgeoReader, saysWhatWeightsAre)
 TEST(BgeoReader, refusesOtherFiles)
 {
     EXPECT_ERROR(readBgeo(""), "not a classic .bgeo file");
-    EXPECT_ERROR(readBgeo("Bgeo"), "not a classic .bgeo file");
+    EXPECT_ERROR(readBgeo("PGEOMETRY V5"), "with gzip, but with 'PGEOM'");
     EXPECT_ERROR(readBgeo("\x7fNSJb and more"), "Houdini 12 and later (binary JSON)");
     EXPECT_ERROR(readBgeo("\x7fNSJb and more"), ".bhclassic");
     EXPECT_ERROR(readBgeo("scf1 and more"), "compressed with Blosc (.bgeo.sc)");

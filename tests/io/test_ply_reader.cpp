@@ -85,7 +85,7 @@ TEST(PlyReader, readsBothByteOrders)
 TEST(PlyReader, refusesOtherFiles)
 {
     EXPECT_ERROR(parsedPly(""), "end_header");
-    EXPECT_ERROR(parsedPly("plyer\n"), "is not a .ply file");
+    EXPECT_ERROR(parsedPly("plyer\n"), "is not a .ply file: its first line is not 'ply' but 'plyer'");
     EXPECT_ERROR(parsedPly("ply\nformat ascii 2.0\nend_header\n"), "'2.0' is not 1.0");
     EXPECT_ERROR(parsedPly("ply\nformat binary 1.0\nend_header\n"), "format 'binary'");
     EXPECT_ERROR(parsedPly("ply\nformat ascii 1.0\nend_header\n"), "no element 'vertex'");
@@ -372,7 +372,8 @@ TEST(PlyReader, readsTextInChunks)
     EXPECT_ERROR(parsedPly(plyHeader("ascii", elements) + rows + "1 1\n1 1\n"), "1 line, 4 bytes, left over");
 }
 
-// ------------------------------------------------------------------------------------------------ any valid file
+// ------------------------------------------------------------------------------------------------ any valid
+// file
 
 struct Property {
     const char* type;
