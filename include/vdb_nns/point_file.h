@@ -56,10 +56,10 @@ struct PointFileOptions {
 
     /// Numbers of the columns that are x, y and z, from 0: three different ones, of a text, of an .npy or .npz that is wider
     /// than (N, 3), or of the fields of its records. Empty: what the file says.
-    std::vector<std::uint32_t> columns;
+    std::vector<std::uint32_t> columns = {};
 
     /// Name of the array of an .npz; empty: the only one.
-    std::string array;
+    std::string array = {};
 };
 
 /// A point file in memory. Copies share it. Safe to use from several threads and from inside TBB tasks,

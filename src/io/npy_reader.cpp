@@ -2,6 +2,7 @@
 // other (Fortran order), or records with fields.
 #include "io/half_float.h"
 #include "io/npy_header.h"
+#include "io/number_type.h"
 
 #include <oneapi/tbb/parallel_for.h>
 
@@ -14,9 +15,6 @@ namespace {
 
 // Rows that a task converts.
 constexpr std::size_t kTaskRows = std::size_t(1) << 16;
-// Every integer up to here is a double.
-constexpr std::uint64_t kMostExactInteger = std::uint64_t(1) << 53;
-
 std::string shapeText(const std::vector<std::uint64_t>& shape)
 {
     std::string text = "(";
@@ -184,20 +182,6 @@ void checkSize(const std::string& path, const NpyHeader& header, std::uint64_t a
     }
 }
 
-template <typename Number>
-Number numberAt(const unsigned char* from, bool isBigEndian)
-{
-    unsigned char raw[sizeof(Number)];
-    if (isBigEndian) {
-        std::reverse_copy(from, from + sizeof(Number), raw);
-    } else {
-        std::memcpy(raw, from, sizeof(Number));
-    }
-    Number value;
-    std::memcpy(&value, raw, sizeof value);
-    return value;
-}
-
 // Converts one coordinate of rows [begin, end). Returns the first row whose integer is no double, or `end`.
 template <typename Number, typename Real>
 std::size_t convertAs(const unsigned char* first, std::uint64_t stride, bool isBigEndian, std::size_t begin,
@@ -205,12 +189,8 @@ std::size_t convertAs(const unsigned char* first, std::uint64_t stride, bool isB
 {
     std::size_t inexact = end;
     for (std::size_t row = begin; row < end; ++row) {
-        const auto value = numberAt<Number>(first + row * stride, isBigEndian);
-        if constexpr (sizeof(Number) == 8 && std::is_integral<Number>::value) {
-            const auto wide = static_cast<std::uint64_t>(value);
-            const std::uint64_t magnitude = std::is_signed<Number>::value && value < 0 ? 0 - wide : wide;
-            if (magnitude > kMostExactInteger) inexact = std::min(inexact, row);
-        }
+        const auto value = loadNumber<Number>(first + row * stride, isBigEndian);
+        if (!isExactInDouble(value)) inexact = std::min(inexact, row);
         out[3 * row] = static_cast<Real>(value);
     }
     return inexact;
@@ -221,7 +201,7 @@ std::size_t convertHalves(const unsigned char* first, std::uint64_t stride, bool
                           std::size_t begin, std::size_t end, Real* out)
 {
     for (std::size_t row = begin; row < end; ++row)
-        out[3 * row] = floatOfHalf(numberAt<std::uint16_t>(first + row * stride, isBigEndian));
+        out[3 * row] = floatOfHalf(loadNumber<std::uint16_t>(first + row * stride, isBigEndian));
     return end;
 }
 

@@ -92,8 +92,9 @@ struct ArrayFormat {
     bool hasColumns;
 };
 constexpr ArrayFormat kArrayFormats[] = {
-    {"npy", nullptr, true},   {"npz", parseNpz, true},  {"ply", parsePly, false}, {"xyz", parseText, true},
-    {"txt", parseText, true}, {"csv", parseText, true}, {"pts", parseText, true}};
+    {"npy", nullptr, true},   {"npz", parseNpz, true},  {"ply", parsePly, false},
+    {"xyz", parseText, true}, {"txt", parseText, true}, {"csv", parseText, true},
+    {"pts", parseText, true}, {"vtk", parseVtk, false}, {"bgeo", parseBgeo, false}};
 
 // Null for other extensions.
 const ArrayFormat* arrayFormat(const std::string& extension)
@@ -235,7 +236,7 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
     const ArrayFormat* const array = arrayFormat(format);
     if (format != "vdb" && !array) {
         throw InvalidInput(path + ": unknown extension '" + format +
-                           "'; point files are .vdb .npy .npz .ply .xyz .txt .csv .pts");
+                           "'; point files are .vdb .npy .npz .ply .vtk .bgeo .xyz .txt .csv .pts");
     }
     checkChoice(path, array, options);
     const InputFile file(path);

@@ -1,12 +1,9 @@
 // Lines, fields and numbers of a text.
 #pragma once
 
-#include <charconv>
-#include <cmath>
+#include "io/number_type.h"
+
 #include <cstddef>
-#include <cstdlib>
-#include <cstring>
-#include <string>
 #include <string_view>
 
 #include <emmintrin.h>
@@ -101,40 +98,15 @@ private:
 
 enum class NumberText { kNumber, kEmpty, kNotANumber, kTooLarge };
 
-// Microsoft's older run-time library writes 1.#QNAN, -1.#IND, 1.#INF and the like, some with zeros behind them.
-inline bool readMicrosoftNumber(std::string_view text, double& value)
-{
-    const bool isNegative = !text.empty() && text.front() == '-';
-    if (isNegative) text.remove_prefix(1);
-    if (text.substr(0, 3) != "1.#") return false;
-    text.remove_prefix(3);
-    for (const std::string_view name : {"QNAN", "SNAN", "IND", "INF", "NAN"}) {
-        if (text.substr(0, name.size()) != name) continue;
-        if (text.find_first_not_of('0', name.size()) != std::string_view::npos) return false;
-        value = name == "INF" ? HUGE_VAL : std::strtod("nan", nullptr);
-        if (isNegative) value = -value;
-        return true;
-    }
-    return false;
-}
-
 // The double nearest to a text that is a number from its first to its last character.
 inline NumberText readNumber(std::string_view text, double& value)
 {
     if (text.empty()) return NumberText::kEmpty;
-    const char* first = text.data();
-    const char* const last = first + text.size();
-    if (*first == '+' && text.size() > 1 && first[1] != '-') ++first; // from_chars takes no plus sign
-    const std::from_chars_result result = std::from_chars(first, last, value);
-    if (result.ec == std::errc::invalid_argument || result.ptr != last) {
-        return readMicrosoftNumber(text, value) ? NumberText::kNumber : NumberText::kNotANumber;
-    }
-    if (result.ec == std::errc::result_out_of_range) {
-        // Too small is rounded to the nearest double, which strtod does; too large has none.
-        value = std::strtod(std::string(first, last).c_str(), nullptr);
-        if (value > 1 || value < -1) return NumberText::kTooLarge;
-    }
-    return NumberText::kNumber;
+    const char* next = text.data();
+    const char* const what = readTextNumber<double>(next, text.data() + text.size(), value);
+    if (what == kIsOutOfRange) return NumberText::kTooLarge;
+    return what == nullptr && next == text.data() + text.size() ? NumberText::kNumber
+                                                                : NumberText::kNotANumber;
 }
 
 } // namespace vdb_nns

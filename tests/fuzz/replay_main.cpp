@@ -2,7 +2,7 @@
 // from a fixed random sequence, for some seconds. A crash, a sanitizer's report or any exception but
 // InputError ends it. Of a binary format the seeds are the files of a folder, without their prefixes.
 //
-//   replay npy|ply|text|vtk|bgeo|FOLDER [SECONDS [FIRST_SEED]]
+//   replay npy|npz|ply|text|vtk|bgeo|FOLDER [SECONDS [FIRST_SEED]]
 #include <algorithm>
 #include <chrono>
 #include <cstddef>
@@ -14,6 +14,8 @@
 #include <iterator>
 #include <string>
 #include <vector>
+
+#include <zlib.h>
 
 extern "C" int LLVMFuzzerTestOneInput(const unsigned char* data, std::size_t size);
 
@@ -43,8 +45,34 @@ std::string npySeed(const std::string& descr, const std::string& shape, std::siz
            std::string(valueBytes, '\x3f');
 }
 
+std::string littleEndian(std::uint64_t value, int bytes)
+{
+    std::string text;
+    for (int i = 0; i < bytes; ++i) text += static_cast<char>(value >> (8 * i));
+    return text;
+}
+
+// A ZIP with one stored member.
+std::string npzSeed(const std::string& content)
+{
+    const std::string name = "a.npy";
+    const auto crc =
+        crc32(0, reinterpret_cast<const Bytef*>(content.data()), static_cast<uInt>(content.size()));
+    const std::string common = littleEndian(20, 2) + littleEndian(0, 4 + 4) + littleEndian(crc, 4) +
+                               littleEndian(content.size(), 4) + littleEndian(content.size(), 4) +
+                               littleEndian(name.size(), 2) + littleEndian(0, 2);
+    const std::string local = "PK\3\4" + common + name + content;
+    const std::string entry = "PK\1\2" + littleEndian(20, 2) + common + littleEndian(0, 14) + name;
+    return local + entry + "PK\5\6" + littleEndian(0, 4) + littleEndian(1, 2) + littleEndian(1, 2) +
+           littleEndian(entry.size(), 4) + littleEndian(local.size(), 4) + littleEndian(0, 2);
+}
+
 std::vector<std::string> seedsOf(const std::string& format)
 {
+    if (format == "npz") {
+        return {npzSeed(npySeed("<f4", "(2, 3)", 24)), npzSeed(npySeed(">i8", "(1, 4)", 32)),
+                npzSeed("no array")};
+    }
     if (format == "npy") {
         return {npySeed("<f4", "(2, 3)", 24), npySeed("<f8", "(2, 3)", 48), npySeed("<f4", "(0, 3)", 0),
                 npySeed("<f4", "(18446744073709551615, 3)", 24), npySeed(">f4", "(2, 3)", 24)};
@@ -96,7 +124,13 @@ std::vector<std::string> seedsOf(const std::string& format)
         return {head(2, 0) + std::string(32, '\x3f') + std::string("\0\xff", 2),
                 head(1, 2) + id + name + std::string(24, '\x3f'), packed, "\x7fNSJb", "scf1"};
     }
-    return {"1 2 3\n4 5 6\n", "# c\r\n 0.1\t+2 -3e400 x y\r\n\r\nnan inf -inf\n", "3\nH 1 2 3\n", "1 2\n",
+    return {"\xEF\xBB\xBFid;x;y;z\r1;2;3;4\r5;6;7;8\r",
+            "//X Y Z I\n2\n1,2,3,4\n5,6,7,8\n",
+            "2\nProperties=species:S:1:pos:R:3\nH 1 2 3\n8 4 5 1.#QNAN\n1\n\nO 0 0 0\n",
+            "1 2 3\n4 5 6\n",
+            "# c\r\n 0.1\t+2 -3e400 x y\r\n\r\nnan inf -inf\n",
+            "3\nH 1 2 3\n",
+            "1 2\n",
             "1e-400 2 3"};
 }
 
@@ -155,7 +189,7 @@ void run(const std::string& input)
 int main(int argc, char** argv)
 {
     if (argc < 2) {
-        std::fprintf(stderr, "usage: replay npy|ply|text|vtk|bgeo|FOLDER [SECONDS [FIRST_SEED]]\n");
+        std::fprintf(stderr, "usage: replay npy|npz|ply|text|vtk|bgeo|FOLDER [SECONDS [FIRST_SEED]]\n");
         return 2;
     }
     const bool isFolder = std::filesystem::is_directory(argv[1]);

@@ -55,7 +55,7 @@ void addInputFlags(CLI::App& app, InputFlags& flags, bool withRadius);
 /// @throws InvalidInput for columns that are not three numbers
 PointFileOptions pointFileOptions(const InputFlags& flags, std::uint64_t hostMemoryBytes, Progress* progress);
 /// What the help says of an input.
-constexpr const char* kInputHelp = "point file: .vdb .npy .npz .ply .xyz .txt .csv .pts";
+constexpr const char* kInputHelp = "point file: .vdb .npy .npz .ply .vtk .bgeo .xyz .txt .csv .pts";
 
 /// How the engine searches.
 struct EngineFlags {
