@@ -13,7 +13,7 @@ packages=(g++ cmake ninja-build git
 for flag in "$@"; do
     case $flag in
     --tests)
-        packages+=(clang clang-format libgtest-dev libboost-context-dev
+        packages+=(clang libclang-rt-dev clang-format libgtest-dev libboost-context-dev
                    python3 python3-numpy python3-scipy python3-matplotlib dpkg-dev file) ;;
     --package) packages+=(dpkg-dev file) ;;
     --roots) packages+=(debootstrap) ;;

@@ -22,8 +22,13 @@ InputFile::InputFile(const std::string& path)
                          (S_ISFIFO(status.st_mode) ? "a pipe" : "a device or a socket") +
                          "), and is read at any place and more than once; write its content to a file first");
     }
-    mDescriptor = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+    // A pipe that takes its place now does not make it wait.
+    mDescriptor = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
     if (mDescriptor < 0) fail(errno);
+    if (::fstat(mDescriptor, &status) != 0 || !S_ISREG(status.st_mode)) {
+        ::close(mDescriptor);
+        throw InputError(path + ": was replaced while it was opened; give the name of a regular file");
+    }
     mSize = static_cast<std::uint64_t>(status.st_size);
     char first = 0;
     if (mSize == 0 && ::pread(mDescriptor, &first, 1, 0) > 0) {

@@ -1,29 +1,19 @@
-// Text of a file as messages show it.
+// Text of a file as messages show it: control characters and what is no ASCII as \xHH, so that no file writes to the terminal.
 #pragma once
 
+#include <cstddef>
 #include <string>
 #include <string_view>
 
 namespace vdb_nns {
 
-// At most 40 characters; control characters and what is no ASCII as \xHH, so that no file writes to the terminal.
+// At most so many characters.
+std::string escapedText(std::string_view text, std::size_t most = std::string_view::npos);
+
+// The first 40 characters.
 inline std::string shownText(std::string_view text)
 {
-    constexpr std::size_t kMost = 40;
-    constexpr const char* kDigits = "0123456789abcdef";
-    std::string shown;
-    for (const char c : text) {
-        if (shown.size() >= kMost) return shown + "...";
-        const auto code = static_cast<unsigned char>(c);
-        if (code >= 32 && code < 127) {
-            shown += c;
-        } else if (c == '\t') {
-            shown += "\\t";
-        } else {
-            shown += std::string("\\x") + kDigits[code >> 4] + kDigits[code & 15];
-        }
-    }
-    return shown;
+    return escapedText(text, 40);
 }
 
 } // namespace vdb_nns

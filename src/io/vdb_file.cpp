@@ -9,6 +9,7 @@
 #include "points/transform_check.h"
 #include "vdb_nns/error.h"
 
+#include <cstring>
 #include <vector>
 
 namespace vdb_nns {

@@ -133,7 +133,9 @@ class BadFiles(CliCase):
         for count in ("100", "99999999999999", "-1", "many"):
             self.rejects(self.text("lies.ply", header.format(count) + body))
         self.rejects(self.text("noz.ply", header.format(3).replace("property float z\n", "") + body))
-        self.rejects(self.text("intx.ply", header.format(3).replace("float x", "int x") + body))
+        integers = self.text("intx.ply", header.format(3).replace("float x", "int x") + body)
+        self.assertEqual(self.report("search", integers, "-r", "1")["result"]["pairs"], 2)
+        self.rejects(self.text("listx.ply", header.format(3).replace("float x", "list uchar float x") + body))
         self.rejects(self.text("noend.ply", header.format(3).replace("end_header\n", "")))
         self.rejects(self.text("words.ply", header.format(3) + "0 0 zero\n1 0 0\n5 0 0\n"))
         self.rejects(self.text("notply.ply", "solid\n"))

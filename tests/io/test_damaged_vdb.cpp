@@ -198,6 +198,7 @@ TEST_P(DamagedKinds, areRefusedOrHaveTheirPoints)
                   << " are read with all points, " << mOutcomes[kOtherPoints] << " with others, and "
                   << mOutcomes[kCrashed] << " crash\n";
     }
+    // A fifth at least: the longer attributes of some kinds are, the more of the bytes are values.
     EXPECT_GT(mOutcomes[kRefused], count / 5);
 }
 
@@ -229,6 +230,28 @@ INSTANTIATE_TEST_SUITE_P(Kinds, DamagedKinds,
                                            "instances_stream", "volume_float_half_zip", "unequal_blosc_mask",
                                            "texts_zip_mask"),
                          [](const auto& info) { return std::string(info.param); });
+
+// Sizes of arrays that are not paged, which together are 0 in 64 bits.
+TEST_F(DamagedVdb, isRefusedWhereItsSizesWrap)
+{
+    std::string bytes = made([] { return makeVdbCase("p_vec3s_mask"); });
+    unsigned changed = 0;
+    for (std::size_t at = 0; at + 14 <= bytes.size() && changed < 2; ++at) {
+        std::uint64_t size;
+        std::uint32_t points;
+        std::memcpy(&size, &bytes[at], sizeof size);
+        std::memcpy(&points, &bytes[at + 10], sizeof points);
+        if (points == 0 || points > mPoints || size != 6 + 12 * std::uint64_t(points) || bytes[at + 9] != 0)
+            continue;
+        size = 0x8000000000000005u; // and one more byte, which says that it is not compressed
+        std::memcpy(&bytes[at], &size, sizeof size);
+        ++changed;
+        at += 13;
+    }
+    ASSERT_EQ(changed, 2u);
+    read(bytes, "sizes that wrap");
+    EXPECT_EQ(mOutcomes[kRefused], 1u);
+}
 
 // In a larger file a bit of the topology moves, adds or takes away leaves, whose points are elsewhere.
 TEST_F(DamagedVdb, isRefusedOrHasItsPointsWhereABitOfItsTopologyIsWrong)

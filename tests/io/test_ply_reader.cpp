@@ -207,7 +207,7 @@ TEST(PlyReader, readsWhatIsNotFiniteAndRoundsToTheNearest)
     for (const char* large : {"1e309", "-1e400", "1e99999999999999999999", "0.001e400"})
         EXPECT_ERROR(values("1 2 " + std::string(large)), "range");
     EXPECT_ERROR(values("1 2 1" + std::string(400, '0') + ".5"), "range");
-    EXPECT_ERROR(values("1 2 \x1b[2J"), "'\\x1b[2J' is not a number");
+    EXPECT_ERROR(values("1 2 \x1b[2J"), "'\\x1B[2J' is not a number");
 }
 
 TEST(PlyReader, readsHeadersAsTheyAreWritten)

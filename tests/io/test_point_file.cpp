@@ -602,7 +602,7 @@ TEST_F(PointFileTest, refusesWhatIsNoPointFile)
 {
     EXPECT_THROW(PointFile::read(path("missing.vdb")), InputError);
     EXPECT_THROW(PointFile::read(path("missing.npy")), InputError);
-    EXPECT_THROW(PointFile::read(path("file.txt")), InvalidInput);
+    EXPECT_THROW(PointFile::read(path("file.obj")), InvalidInput);
     EXPECT_THROW(PointFile::read(path("noextension")), InvalidInput);
     fs::create_directory(path("folder.vdb"));
     EXPECT_THROW(PointFile::read(path("folder.vdb")), InputError);

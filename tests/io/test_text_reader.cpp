@@ -210,7 +210,7 @@ TEST(TextReader, refusesOtherText)
     EXPECT_ERROR(valuesOf("1 2 3\n1 2 +-3\n"), "not a number");
     EXPECT_ERROR(valuesOf("1 2 1e309\n"), "range of double");
     EXPECT_ERROR(valuesOf(std::string("1 2 3\n1 2 \0\n", 12)), "'\\x00' in column 2");
-    EXPECT_ERROR(valuesOf("1 2 3\n1 2 \x1b[31m\n"), "'\\x1b[31m'");
+    EXPECT_ERROR(valuesOf("1 2 3\n1 2 \x1b[31m\n"), "'\\x1B[31m'");
 }
 
 } // namespace

@@ -8,6 +8,7 @@
 //     at the end position: the next grid
 // A stream has zeros as positions: a grid follows its entry.
 #include "io/vdb/archive.h"
+#include "io/shown_text.h"
 
 #include "io/vdb/cursor.h"
 #include "io/vdb/grid_header.h"
@@ -101,7 +102,7 @@ std::string gridLabel(const std::string& uniqueName)
 
 std::string gridText(const std::string& uniqueName)
 {
-    return "grid '" + printable(gridLabel(uniqueName)) + "'";
+    return "grid '" + escapedText(gridLabel(uniqueName)) + "'";
 }
 
 const VdbEntry* parentOf(const ByteSource& file, const VdbDirectory& directory, const VdbEntry& instance)

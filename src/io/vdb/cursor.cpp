@@ -1,5 +1,6 @@
 #include "io/vdb/cursor.h"
 
+#include "io/shown_text.h"
 #include "vdb_nns/error.h"
 
 #include <algorithm>
@@ -19,18 +20,10 @@ std::string nameOf(const std::string& part)
 
 } // namespace
 
-std::string printable(std::string text)
-{
-    for (char& c : text) {
-        if (static_cast<unsigned char>(c) < ' ' || c == 0x7F) c = '?';
-    }
-    return text;
-}
-
 void failDamaged(const std::string& file, const std::string& part, const std::string& expected,
                  std::uint64_t at)
 {
-    throw InputError(file + ": damaged: " + nameOf(part) + "expected " + printable(expected) + " at byte " +
+    throw InputError(file + ": damaged: " + nameOf(part) + "expected " + escapedText(expected) + " at byte " +
                      std::to_string(at) + "; copy or write the file again");
 }
 

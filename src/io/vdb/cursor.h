@@ -59,9 +59,6 @@ private:
     std::uint64_t mWindowBegin = 0;
 };
 
-// A text of a file, for messages: control characters, which a damaged name may have, become '?'.
-std::string printable(std::string text);
-
 // The InputError of a file whose part ("grid 'points'", or empty) breaks what is expected at a byte.
 [[noreturn]] void failDamaged(const std::string& file, const std::string& part, const std::string& expected,
                               std::uint64_t at);

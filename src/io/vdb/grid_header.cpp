@@ -99,9 +99,10 @@ VdbTransform readTransform(VdbCursor& cursor)
 
 const VdbMetadata* VdbGridHeader::find(const std::string& name) const
 {
-    const auto found = std::find_if(metadata.begin(), metadata.end(),
+    // Of several, OpenVDB keeps the last.
+    const auto found = std::find_if(metadata.rbegin(), metadata.rend(),
                                     [&](const VdbMetadata& item) { return item.name == name; });
-    return found == metadata.end() ? nullptr : &*found;
+    return found == metadata.rend() ? nullptr : &*found;
 }
 
 std::vector<VdbMetadata> readMetadata(VdbCursor& cursor)

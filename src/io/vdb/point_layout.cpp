@@ -108,12 +108,15 @@ VdbArray readArray(VdbCursor& cursor, const VdbDescriptor::Attribute& attribute)
     array.isUniform = storage & kUniform;
     array.isPaged = storage & kPaged;
     if (storage & kStrided) array.stride = cursor.number<std::uint32_t>("the stride of an attribute");
-    // The size of a compressed array that is not paged says nothing of what it holds.
-    const bool isPlain = array.isPaged || array.isUniform;
     const std::uint64_t each = attribute.type.storedBytes;
-    const bool isRight = !attribute.type.isKnown || !isPlain ||
-                         (array.bytes % each == 0 && array.bytes / each == array.values());
-    if (!isRight || array.bytes == 0 || array.bytes >> 63) {
+    bool isRight = array.bytes > 0 && (array.isPaged || array.bytes <= cursor.left());
+    if (isRight && attribute.type.isKnown) {
+        // What a compressed array holds that is not paged is known once it is decompressed.
+        isRight = array.isPaged || array.isUniform
+                      ? array.bytes % each == 0 && array.bytes / each == array.values()
+                      : array.values() <= kMostExpansion * (array.bytes / each + 1);
+    }
+    if (!isRight) {
         cursor.fail("the size of " + std::to_string(array.values()) + " values of attribute '" +
                         attribute.name + "', not " + std::to_string(array.bytes + kArrayHeaderBytes) + ",",
                     at);

@@ -1,4 +1,5 @@
 #include "io/vdb/point_reader.h"
+#include "io/shown_text.h"
 
 #include "io/vdb/decompress.h"
 #include "points/occupied_voxels.h"
@@ -20,8 +21,6 @@ constexpr std::size_t kVoxels = 512, kMaskBytes = 64, kOffsetBytes = kVoxels * s
 constexpr std::uint16_t kNotCompressed = 0xFFFF;
 // Bytes of voxel offsets that a task reads at once.
 constexpr std::uint64_t kChunkBytes = std::uint64_t(512) << 10;
-// LZ4, which OpenVDB has Blosc use, makes at most 255 bytes of one: what claims more is damaged, and is not allocated.
-constexpr std::uint64_t kMostExpansion = 256;
 constexpr const char* kPosition = "P";
 
 std::string coordText(const Vec3i& c)
@@ -33,7 +32,6 @@ std::string coordText(const Vec3i& c)
 struct Chunk {
     std::size_t firstLeaf, endLeaf;
     std::vector<std::uint16_t> voxels; // of their points
-    std::uint64_t firstPoint = 0;
 };
 
 std::vector<Chunk> chunksOf(const VdbPointLayout& layout, VdbLeafRange leaves)
@@ -42,7 +40,7 @@ std::vector<Chunk> chunksOf(const VdbPointLayout& layout, VdbLeafRange leaves)
     for (std::size_t leaf = leaves.begin; leaf < leaves.end; ++leaf) {
         if (chunks.empty() ||
             layout.voxelsBegin[leaf + 1] - layout.voxelsBegin[chunks.back().firstLeaf] > kChunkBytes)
-            chunks.push_back({leaf, leaf, {}, 0});
+            chunks.push_back({leaf, leaf, {}});
         chunks.back().endLeaf = leaf + 1;
     }
     return chunks;
@@ -358,8 +356,8 @@ private:
             fail("the leaf at " + coordText(mLayout.leaves[leaf]) + " has no attribute P");
         const VdbDescriptor::Attribute& attribute = mLayout.descriptor(leaf).attributes[place];
         if (!isPosition(attribute.type)) {
-            fail("P has type " + printable(attribute.valueType) + " with codec " +
-                 printable(attribute.codec) +
+            fail("P has type " + escapedText(attribute.valueType) + " with codec " +
+                 escapedText(attribute.codec) +
                  ", which is not supported; convert it to vec3s with codec null, trnc, fxpt16 or fxpt8");
         }
         const VdbArray& array = mLayout.array(leaf, place);
@@ -449,17 +447,19 @@ void VdbPointReader::checkAttribute(std::size_t leaf, std::size_t place, const V
 {
     const VdbDescriptor::Attribute& attribute = mLayout.descriptor(leaf).attributes[place];
     const VdbAttributeType& type = attribute.type;
-    const std::string text = mFile.name() + ": " + mPart + ": attribute '" + printable(attribute.name) + "' ";
+    const auto fail = [&](const std::string& what) {
+        throw InputError(mFile.name() + ": " + mPart + ": attribute '" + escapedText(attribute.name) + "' " +
+                         what);
+    };
     if (!type.isKnown || type.codec == VdbCodec::kUnitVector) {
-        throw InputError(text + "has type " + printable(attribute.valueType) + " with codec " +
-                         printable(attribute.codec) +
-                         ", which is not supported; convert it to a type without codec");
+        fail("has type " + escapedText(attribute.valueType) + " with codec " + escapedText(attribute.codec) +
+             ", which is not supported; convert it to a type without codec");
     }
     if (before.isKnown && (before.scalar != type.scalar || before.components != type.components))
-        throw InputError(text + "has not the same type in all leaves; write the file again");
+        fail("has not the same type in all leaves; write the file again");
     const VdbArray& array = mLayout.array(leaf, place);
     if (!array.hasConstantStride || array.stride != 1)
-        throw InputError(text + "has several values a point, which is not supported");
+        fail("has several values a point, which is not supported");
 }
 
 } // namespace vdb_nns

@@ -16,6 +16,7 @@
 #include <filesystem>
 #include <fstream>
 #include <map>
+#include <optional>
 #include <sstream>
 
 namespace vdb_nns {
@@ -121,6 +122,7 @@ public:
         });
     }
 
+    const std::string& path() const { return mFile.name(); }
     const std::vector<VdbEntry>& entries() const { return mDirectory.entries; }
     const openvdb::MetaMap& metadata() const { return mMetadata; }
 
@@ -221,7 +223,8 @@ std::vector<openvdb::GridBase::Ptr> readOtherGrids(Archive& archive, std::size_t
         const auto parent = numbers.find(entries[i].instanceParent);
         const bool hasParent = !entries[i].instanceParent.empty() && parent != numbers.end() &&
                                parent->second != chosen && parent->second != i;
-        grids[i] = hasParent ? archive.readWithoutParent(i) : archive.read(i);
+        guardRead(archive.path(),
+                  [&] { grids[i] = hasParent ? archive.readWithoutParent(i) : archive.read(i); });
         if (hasParent) grids[i]->setTree(grids[parent->second]->baseTreePtr());
     }
     return grids;
@@ -239,11 +242,14 @@ Content readContent(const std::string& from, std::size_t chosen, Span<const std:
                     const std::string& attribute, bool overwrite, const CancelCheck& cancel)
 {
     const InputFile file(from);
-    Archive archive(file, cancel);
+    std::optional<Archive> opened;
+    guardRead(from, [&] { opened.emplace(file, cancel); });
+    Archive& archive = *opened;
     const std::vector<VdbEntry>& entries = archive.entries();
     if (chosen >= entries.size() || entries[chosen].gridType != kVdbPointGridType)
         throw InputError(from + ": has changed since it was read; read it again");
-    const auto own = openvdb::gridPtrCast<points::PointDataGrid>(archive.read(chosen));
+    points::PointDataGrid::Ptr own;
+    guardRead(from, [&] { own = openvdb::gridPtrCast<points::PointDataGrid>(archive.read(chosen)); });
     setPointAttribute(*own, attribute, counts, overwrite, cancel);
     Content content;
     for (const auto& grid : readOtherGrids(archive, chosen, own, cancel)) content.grids.push_back(grid);
@@ -264,8 +270,7 @@ void writeVdbResult(const std::string& from, std::size_t grid, const std::string
     openvdb::initialize();
     const CancelCheck cancel(progress, "write");
     cancel.update(0);
-    const Content content = guardRead(
-        from, [&] { return readContent(from, grid, counts, attribute, options.overwrite, cancel); });
+    const Content content = readContent(from, grid, counts, attribute, options.overwrite, cancel);
 
     OutputFile file(path, options);
     SeekableArchive out;

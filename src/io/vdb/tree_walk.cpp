@@ -10,6 +10,7 @@
 //           those of the value mask, as one block
 //   block: as it is; or, with Zip or Blosc, its size (8) and bytes; the size is negative where they are not compressed
 #include "io/vdb/tree_walk.h"
+#include "io/shown_text.h"
 
 #include "io/vdb/archive.h"
 #include "vdb_nns/error.h"
@@ -182,7 +183,7 @@ void skipVolume(VdbCursor& cursor, const std::string& gridType, bool savesHalf, 
             return gridType == std::string("Tree_") + type.name + "_5_4_3";
         });
     if (known == std::end(kVolumeTypes)) {
-        throw InputError(cursor.file().name() + ": " + cursor.part() + ": has type " + printable(gridType) +
+        throw InputError(cursor.file().name() + ": " + cursor.part() + ": has type " + escapedText(gridType) +
                          ", which is not read, and a stream does not say where it ends (it begins at byte " +
                          std::to_string(cursor.position()) +
                          "); write the file with offsets, as openvdb::io::File does");
