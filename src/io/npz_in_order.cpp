@@ -13,8 +13,11 @@ namespace {
 // Distances of which nobody asks whether to stop: some milliseconds.
 constexpr std::size_t kDistancesBetweenChecks = std::size_t(1) << 16;
 
-// Of the file, ahead of what is written.
-constexpr std::uint64_t kReserveBytes = std::uint64_t(256) << 20;
+// An array's blocks are reserved ahead of its values: as much again as is written, within these bounds.
+constexpr std::uint64_t kLeastReserveBytes = std::uint64_t(1) << 20, kMostReserveBytes = std::uint64_t(256)
+                                                                                         << 20;
+// Longer buffers, of runs with a very long row, are not kept for the next run.
+constexpr std::uint64_t kKeptPairs = std::uint64_t(1) << 20;
 // Buffers that wait to be written while their threads go on.
 constexpr std::size_t kMostQueued = 4;
 
@@ -88,6 +91,7 @@ NpzInOrder::Crcs NpzInOrder::fill(const RowRun& run, Buffer& buffer)
         next += count;
         ends[k] = end += count;
     }
+    sorter.releaseLarge();
     if (mExpected.indexBytes == 8) std::copy_n(buffer.numbers.data(), pairs, atLeast(buffer.wide, pairs));
     if (mDistancesOf) fillDistances(buffer);
     return {run.rowCount, run.pairCount, crcOf(0, ends, run.rowCount * sizeof *ends),
@@ -116,6 +120,16 @@ const void* NpzInOrder::indicesOf(const Buffer& buffer) const
     return buffer.numbers.data();
 }
 
+// `end`: of the values written next. Reserves nothing past the values that are expected, until more come.
+void NpzInOrder::reserveAhead(const NpzMember& member, std::uint64_t end, std::uint64_t& reserved)
+{
+    if (end <= reserved) return;
+    std::uint64_t wanted = end + std::clamp(end, kLeastReserveBytes, kMostReserveBytes);
+    if (end <= member.valueBytes) wanted = std::min(wanted, member.valueBytes);
+    mFile.reserve(member.valueOffset + reserved, member.valueOffset + wanted);
+    reserved = wanted;
+}
+
 void NpzInOrder::write(const Buffer& buffer)
 {
     const auto writeValues = [&](int number, std::uint64_t first, const void* values, std::uint64_t count,
@@ -123,9 +137,12 @@ void NpzInOrder::write(const Buffer& buffer)
         mFile.writeAt(mExpected.members[number].valueOffset + first * bytes, values,
                       static_cast<std::size_t>(count) * bytes);
     };
-    const std::uint64_t end = mExpected.members[NpzLayout::kIndices].valueOffset +
-                              (buffer.firstPair + buffer.pairCount) * mExpected.indexBytes;
-    if (end > mReservedEnd) mFile.reserve(mReservedEnd = end + kReserveBytes);
+    const auto reserve = [&](int number, std::uint64_t end, std::size_t bytes) {
+        reserveAhead(mExpected.members[number], end * bytes, mReserved[number]);
+    };
+    reserve(NpzLayout::kIndptr, buffer.firstRow + buffer.rowCount + 1, sizeof(std::int64_t));
+    reserve(NpzLayout::kIndices, buffer.firstPair + buffer.pairCount, mExpected.indexBytes);
+    if (mDistancesOf) reserve(NpzLayout::kData, buffer.firstPair + buffer.pairCount, sizeof(float));
     // Before the end of the first row stands a 0.
     writeValues(NpzLayout::kIndptr, buffer.firstRow + 1, buffer.ends.data(), buffer.rowCount,
                 sizeof(std::int64_t));
@@ -160,7 +177,7 @@ void NpzInOrder::pass(std::unique_ptr<Buffer> buffer)
             throw;
         }
         lock.lock();
-        mFree.push_back(std::move(next));
+        if (next->pairCount <= kKeptPairs) mFree.push_back(std::move(next));
         mWritten.notify_all();
     }
     mIsWriting = false;
@@ -174,7 +191,9 @@ bool NpzInOrder::finish(std::uint64_t pairCount)
     NpzMember& data = layout.members[NpzLayout::kData];
     if (indices.valueOffset != mExpected.members[NpzLayout::kIndices].valueOffset) return false;
     if (mDistancesOf && data.valueOffset != mExpected.members[NpzLayout::kData].valueOffset) return false;
-    beginFile(mFile, layout);
+    // No requireRoom(): the rows have their blocks already.
+    mFile.reserve(indices.valueOffset + indices.valueBytes,
+                  layout.directoryOffset + centralDirectory(layout).size());
     const std::int64_t zero = 0;
     appendValues(mFile, indptr, 0, &zero, sizeof zero, crcOf(0, &zero, sizeof zero));
     std::uint64_t rows = 0, pairs = 0;

@@ -12,6 +12,7 @@
 
 #include <tbb/enumerable_thread_specific.h>
 
+#include <array>
 #include <condition_variable>
 #include <cstdint>
 #include <deque>
@@ -54,6 +55,7 @@ private:
     const void* indicesOf(const Buffer& buffer) const;
     Crcs fill(const RowRun& run, Buffer& buffer);
     void fillDistances(Buffer& buffer) const;
+    void reserveAhead(const NpzMember& member, std::uint64_t end, std::uint64_t& reserved);
     void write(const Buffer& buffer);
     std::unique_ptr<Buffer> takeBuffer();
     void pass(std::unique_ptr<Buffer> buffer);
@@ -71,7 +73,8 @@ private:
     std::vector<std::unique_ptr<Buffer>> mFree;
     std::deque<std::unique_ptr<Buffer>> mQueue; // to be written
     std::vector<Crcs> mRuns;                    // by index
-    std::uint64_t mReservedEnd = 0;             // of who writes
+    // Bytes of each member's values, from its first one; for the thread that writes.
+    std::array<std::uint64_t, NpzLayout::kMembers> mReserved{};
 };
 
 } // namespace vdb_nns

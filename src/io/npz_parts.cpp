@@ -93,7 +93,7 @@ void beginFile(OutputFile& file, const NpzLayout& layout)
 {
     const std::uint64_t bytes = layout.directoryOffset + centralDirectory(layout).size();
     file.requireRoom(bytes);
-    file.reserve(bytes);
+    file.reserve(0, bytes);
 }
 
 } // namespace vdb_nns

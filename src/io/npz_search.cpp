@@ -36,8 +36,8 @@ std::optional<NpzSearchResult> searchToNpz(EngineState& engine, const SparseGrid
     return isolated([&]() -> std::optional<NpzSearchResult> {
         OrderedSearch rows(engine, grid, search);
         const double rowBytes = rows.expectedNeighbors() * sizeof(std::uint32_t);
-        if (kDoubt * rowBytes * static_cast<double>(rows.windowRows()) >
-            static_cast<double>(options.windowBytes))
+        if (options.windowBytes == 0 || kDoubt * rowBytes * static_cast<double>(rows.windowRows()) >
+                                            static_cast<double>(options.windowBytes))
             return std::nullopt;
         if (options.checksum) rows.makeChecksum();
         const std::uint64_t rowCount = grid.view().size();

@@ -16,7 +16,7 @@ struct NpzSearchOptions {
     ListValues values = ListValues::kConnectivity;
     OutputOptions output;
     bool checksum = false;
-    std::uint64_t windowBytes = 0; // that rows may take which wait for those before them
+    std::uint64_t windowBytes = 0; // most memory of rows that wait for those before them; 0: none may
 };
 
 struct NpzSearchResult {
@@ -25,8 +25,9 @@ struct NpzSearchResult {
     double writeSeconds = 0; // for what could be written only once all rows were found
 };
 
-// Empty, and nothing written, if too many rows would wait for others, as those of particles in random order do. Throws as
-// SearchEngine::search() and writeNpz(). `search.encoding` and `search.hostMemoryBytes` are not read.
+// Returns nothing, and writes nothing, if the rows that must wait for others do not fit in `windowBytes`; that is so for
+// particles that are numbered in random order. Throws what SearchEngine::search() and writeNpz() throw. Ignores
+// `search.encoding` and `search.hostMemoryBytes`.
 std::optional<NpzSearchResult> searchToNpz(EngineState& engine, const SparseGrid& grid,
                                            const SearchOptions& search, const NpzSearchOptions& options);
 

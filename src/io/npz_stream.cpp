@@ -211,6 +211,7 @@ private:
         const auto count = static_cast<std::uint32_t>(numbers.size());
         mWriter.add(row, mShared.places.begin(row), mSorter.sorted(numbers.data(), count), count);
         mWriter.write();
+        mSorter.releaseLarge();
     }
 
     std::uint32_t* values() const { return static_cast<std::uint32_t*>(mBuffer.data()); }

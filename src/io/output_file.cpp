@@ -156,12 +156,20 @@ void OutputFile::writeAt(std::uint64_t offset, const void* data, std::size_t byt
     }
 }
 
-void OutputFile::reserve(std::uint64_t bytes)
+void OutputFile::reserve(std::uint64_t begin, std::uint64_t end)
 {
-    if (bytes <= mReservedBytes) return;
-    ::fallocate(mTemporary->descriptor(), FALLOC_FL_KEEP_SIZE, static_cast<off_t>(mReservedBytes),
-                static_cast<off_t>(bytes - mReservedBytes));
-    mReservedBytes = bytes;
+    if (begin >= end) return;
+    const std::optional<std::uint64_t> free = freeBytes();
+    if (free && end - begin > *free) return;
+    const int descriptor = mTemporary->descriptor();
+    if (::fallocate(descriptor, FALLOC_FL_KEEP_SIZE, static_cast<off_t>(begin),
+                    static_cast<off_t>(end - begin)) == 0) {
+        mReservedEnd = std::max(mReservedEnd, end);
+        return;
+    }
+    // Some file systems keep what they allocated before they failed.
+    struct stat status {};
+    if (::fstat(descriptor, &status) == 0 && ::ftruncate(descriptor, status.st_size) == 0) mReservedEnd = 0;
 }
 
 void OutputFile::returnReserve() const
@@ -169,7 +177,7 @@ void OutputFile::returnReserve() const
     struct stat status {};
     const int descriptor = mTemporary->descriptor();
     if (::fstat(descriptor, &status) != 0) failOutput(mPath, "cannot be looked at", errno);
-    if (mReservedBytes <= static_cast<std::uint64_t>(status.st_size)) return;
+    if (mReservedEnd <= static_cast<std::uint64_t>(status.st_size)) return;
     if (::ftruncate(descriptor, status.st_size) != 0) failOutput(mPath, "cannot be cut to its size", errno);
 }
 

@@ -31,14 +31,15 @@ public:
     // @throws OutputError
     void writeAt(std::uint64_t offset, const void* data, std::size_t bytes);
 
-    // Asks the file system for the blocks of a file of so many bytes; what is not written of them is given back at the end.
-    // Blocks that are there are cheaper to write to, and renaming need not find any: ext4 writes a file to the disk before it
-    // takes the place of another one if blocks are still to be found for it. Advice: where it is refused, writing tells.
-    // By one thread at a time.
-    void reserve(std::uint64_t bytes);
+    // Allocates the blocks of these bytes, as far as they have none. Those past the end of the file are given back by commit().
+    // Writes into allocated blocks are cheaper. Renaming is, too: where ext4 allocates blocks only when it flushes them, it
+    // flushes a file before the rename that replaces another one.
+    // Advice: nothing is reserved, and no error reported, where the file system refuses or has less free; a write then
+    // reports a full disk. No other thread may write to the file meanwhile.
+    void reserve(std::uint64_t begin, std::uint64_t end);
 
-    // Throws OutputError unless the disk has room for a file of so many bytes. Before anything is written; others may
-    // take that room all the same.
+    // Throws OutputError unless the disk has room for a file of so many bytes. To be called before anything is written or
+    // reserved, which would count twice. Other programs may take the room all the same.
     void requireRoom(std::uint64_t bytes) const;
 
     // Of the disk, for this user; empty where the file system does not know.
@@ -60,7 +61,7 @@ private:
     std::string mTarget; // after symbolic links
     OutputOptions mOptions;
     std::optional<TemporaryFile> mTemporary;
-    std::uint64_t mReservedBytes = 0;
+    std::uint64_t mReservedEnd = 0;
 };
 
 // Buffers an OutputFile for writers that want a seekable std::ostream. Errors leave as OutputError through a

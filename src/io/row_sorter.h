@@ -19,6 +19,14 @@ public:
         mSort(row, count, out, mScratch.data());
     }
 
+    // Frees what a long row left.
+    void releaseLarge()
+    {
+        for (std::vector<std::uint32_t>* const kept : {&mScratch, &mSorted}) {
+            if (kept->capacity() > kKeptEntries) std::vector<std::uint32_t>().swap(*kept);
+        }
+    }
+
     // The same, to memory of its own, which is good until the next call.
     const std::uint32_t* sorted(const std::uint32_t* row, std::size_t count)
     {
@@ -28,6 +36,8 @@ public:
     }
 
 private:
+    static constexpr std::size_t kKeptEntries = std::size_t(1) << 20; // 4 MiB
+
     SortRowFunction mSort = kernelsFor(SimdLevel::kBest).sortRow;
     std::vector<std::uint32_t> mScratch, mSorted;
 };

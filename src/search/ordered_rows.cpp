@@ -31,6 +31,8 @@ constexpr std::uint64_t kAheadBytes = std::uint64_t(24) << 20;
 
 // Of each thread's batch.
 constexpr std::uint64_t kThreadBytes = std::uint64_t(2) << 20;
+// Requests for memory that are taken at once: less than one of them is unused when the next one does not fit.
+constexpr std::size_t kRequestsPerTake = 4;
 // Queries whose neighbors are counted to expect those of all.
 constexpr std::size_t kSampledQueries = 256;
 
@@ -127,9 +129,17 @@ private:
     {
         auto& self = *static_cast<RowMaker*>(sink.owner);
         self.noteRows();
-        if (sink.out) self.mWindow.release(self.mChunk);
+        if (sink.out) {
+            self.mWindow.shrink(self.mChunk, sink.out);
+            self.mWindow.release(self.mChunk);
+        }
         sink.out = sink.end = nullptr;
-        self.mChunk = self.mWindow.take(entries);
+        // `entries` is what a few rows may have at most; they mostly have less, and many follow.
+        try {
+            self.mChunk = self.mWindow.take(kRequestsPerTake * entries);
+        } catch (const RowWindow::Exceeded&) {
+            self.mChunk = self.mWindow.take(entries);
+        }
         sink.out = self.mWindow.begin(self.mChunk);
         sink.end = self.mWindow.end(self.mChunk);
     }
@@ -222,7 +232,9 @@ private:
                     return;
                 } else {
                     mChanged.wait_for(lock, std::chrono::milliseconds(10));
+                    lock.unlock(); // check() calls the caller's Progress
                     mRun.cancel.check();
+                    lock.lock();
                 }
             }
         } catch (...) {

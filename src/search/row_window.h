@@ -9,7 +9,10 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <mutex>
+#include <set>
+#include <utility>
 #include <vector>
 
 namespace vdb_nns {
@@ -32,6 +35,9 @@ public:
     std::uint32_t take(std::size_t entries);
     void addRows(std::uint32_t first, std::uint32_t count) { mChunks[first].held += count; }
     void release(std::uint32_t first, std::uint32_t count = 1);
+    // Frees those chunks that lie entirely behind `used`, which is in them or at their end. By the thread that took them, before
+    // its release().
+    void shrink(std::uint32_t first, const std::uint32_t* used);
 
     std::uint64_t heldBytes() const { return mHeldChunks * kChunkBytes; }
 
@@ -60,13 +66,20 @@ private:
     };
 
     void addMemory(std::uint32_t chunks);
+    // Of consecutive chunks that are free; call them with mMutex held.
+    void addRange(std::uint32_t first, std::uint32_t count);
+    std::uint32_t takeFromRanges(std::uint32_t count);
+    bool adjoin(std::uint32_t left, std::uint32_t right) const;
 
     std::mutex mMutex;
     std::vector<Chunk> mChunks; // as many as are allowed
     std::vector<PageBlock> mMemory;
-    std::vector<std::uint32_t> mFree;
-    std::uint32_t mUsed = 0;  // chunks that were ever taken
-    std::uint32_t mReady = 0; // chunks that have memory; from mUsed on it is in one piece
+    // Free chunks: single ones in the order of their release, others in ranges that are as long as can be.
+    std::vector<std::uint32_t> mSingles;
+    std::map<std::uint32_t, std::uint32_t>
+        mRanges; // first chunk, number of chunks; all in one piece of memory
+    std::set<std::pair<std::uint32_t, std::uint32_t>> mByCount; // the same: number of chunks, first chunk
+    std::uint32_t mReady = 0;                                   // chunks that have memory
     std::atomic<std::uint64_t> mHeldChunks{0};
 };
 

@@ -1,4 +1,5 @@
 """Files that the program writes: whole or not at all, never over something by accident."""
+import filecmp
 import json
 import os
 import shutil
@@ -153,6 +154,26 @@ class NoSpace(CliCase):
                 self.assertEqual(os.listdir(disk), [])
         finally:
             subprocess.run(["umount", disk], check=True)
+
+
+    def test_disk_with_room_for_one_file(self):
+        # Blocks that are reserved, or written, are not asked for a second time.
+        path, free, disk = self.scene("block", 200000), self.path("free.npz"), self.path("disk")
+        os.mkdir(disk)
+        for lists in ("connectivity", "distance"):
+            self.succeeds("search", path, "-o", free, "-f", "--lists", lists, "-q")
+            size = os.path.getsize(free) * 13 // 10
+            if os.geteuid() != 0 or subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "none", disk],
+                                                   stderr=subprocess.DEVNULL).returncode != 0:
+                self.skipTest("cannot mount a small tmpfs here")
+            try:
+                with self.subTest(lists=lists):
+                    out = os.path.join(disk, "x.npz")
+                    done = self.succeeds("search", path, "-o", out, "--lists", lists)
+                    self.assertIn("straight to the file", done.out)
+                    self.assertTrue(filecmp.cmp(free, out, shallow=False))
+            finally:
+                subprocess.run(["umount", disk], check=True)
 
 
 class VdbOutput(CliCase):

@@ -21,6 +21,7 @@
 #include <random>
 
 #include <sys/resource.h>
+#include <sys/stat.h>
 
 namespace vdb_nns::testing {
 namespace {
@@ -147,6 +148,11 @@ TEST_F(NpzSearch, WritesNothingIfTooManyRowsWouldWait)
     EngineState engine;
     EXPECT_FALSE(searchToNpz(engine, grid, {}, options(ListValues::kConnectivity, 1 << 20)));
     EXPECT_EQ(fileCount(), 0);
+    // A window of nothing says that the counts do not fit either, even if no row would wait.
+    const double points[] = {0, 0, 0, 9, 9, 9};
+    const SparseGrid two = builder.buildGrid(ParticleView::fromArray(points, 2), 1);
+    EXPECT_FALSE(searchToNpz(engine, two, {}, options(ListValues::kConnectivity, 0)));
+    EXPECT_EQ(fileCount(), 0);
     // What was expected to suffice may not: these are 2 MiB.
     OrderedSearch rows(engine, grid, {});
     EXPECT_GT(rows.windowRows(), 0u);
@@ -211,6 +217,13 @@ TEST_F(NpzSearch, WithoutRoomIsAnErrorAndLeavesNothing)
     std::signal(SIGXFSZ, handler);
 }
 
+std::int64_t allocatedBytes(const OutputFile& file)
+{
+    struct stat status {};
+    EXPECT_EQ(::stat(file.temporaryPath().c_str(), &status), 0);
+    return std::int64_t(status.st_blocks) * 512;
+}
+
 // Runs that a test makes up.
 RowRun runOf(std::uint64_t firstRow, const std::vector<std::uint32_t>& counts,
              const std::vector<const std::uint32_t*>& rows)
@@ -237,6 +250,7 @@ TEST_F(NpzSearch, StartsAgainIfTheNumberOfPairsWasExpectedWrongly)
     EXPECT_FALSE(wrong.finish(2));
     NpzInOrder right(file, 7, 1000, nullptr, cancel);
     right.take(runOf(0, counts, rows));
+    EXPECT_LT(allocatedBytes(file), 4 << 20); // a small file reserves little, whatever was expected
     EXPECT_TRUE(right.finish(2));
     file.commit();
     class Rows final : public NpzRows {
@@ -266,6 +280,7 @@ TEST_F(NpzSearch, HasWideIndicesPast31BitsOfRows)
     OutputFile file(path("a.npz"), {});
     NpzInOrder npz(file, rowCount, 2, nullptr, cancel);
     npz.take(runOf(3, counts, rows));
+    EXPECT_LT(allocatedBytes(file), 8 << 20); // the file is sparse
     const NpzLayout layout = layoutNpz(rowCount, 2, ListValues::kConnectivity);
     std::ifstream written(file.temporaryPath(), std::ios::binary);
     std::int64_t values[2] = {};

@@ -328,6 +328,24 @@ TEST_F(OutputTest, reportsTheSizeLimitAndLeavesNothing)
     EXPECT_EQ(fileCount(), 0u);
 }
 
+TEST_F(OutputTest, givesBackWhatWasReservedAndNotWritten)
+{
+    OutputFile file(path("a"), {});
+    const auto allocated = [&](const std::string& name) {
+        struct stat status {};
+        EXPECT_EQ(::stat(name.c_str(), &status), 0);
+        return status.st_blocks * 512;
+    };
+    file.reserve(0, std::uint64_t(7) << 60); // no disk has that
+    EXPECT_EQ(allocated(file.temporaryPath()), 0);
+    file.reserve(0, 4 << 20);
+    file.writeAt(0, "abc", 3);
+    file.reserve(4 << 20, std::uint64_t(7) << 60);
+    file.commit();
+    EXPECT_EQ(contents(path("a")), "abc");
+    EXPECT_LE(allocated(path("a")), 1 << 20);
+}
+
 TEST_F(OutputTest, asksForRoomBeforeItIsTaken)
 {
     OutputFile file(path("a"), {});

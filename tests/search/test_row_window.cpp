@@ -49,6 +49,51 @@ TEST(RowWindow, FindsRowsByTheirPlacesInSeveralChunksToo)
     EXPECT_THROW(window.take(1), RowWindow::Exceeded);
 }
 
+TEST(RowWindow, UsesChunksInSeveralAgain)
+{
+    RowWindow window(6 * RowWindow::kChunkBytes, {});
+    for (int k = 0; k < 100; ++k) {
+        const std::uint32_t first = window.take(3 * RowWindow::kChunkEntries);
+        window.release(first);
+        const std::uint32_t single = window.take(1); // not the middle of what is asked for next
+        window.release(window.take(4 * RowWindow::kChunkEntries));
+        window.release(single);
+    }
+    EXPECT_EQ(window.heldBytes(), 0u);
+    // Released one by one in any order, they are one piece again.
+    std::vector<std::uint32_t> chunks(6);
+    for (std::uint32_t& chunk : chunks) chunk = window.take(1);
+    for (const int k : {3, 0, 5, 1, 4, 2}) window.release(chunks[static_cast<std::size_t>(k)]);
+    const std::uint32_t all = window.take(6 * RowWindow::kChunkEntries);
+    EXPECT_THROW(window.take(1), RowWindow::Exceeded);
+    // What its rows did not need serves others while they are held.
+    window.shrink(all, window.begin(all) + RowWindow::kChunkEntries + 1);
+    EXPECT_EQ(window.heldBytes(), 2 * RowWindow::kChunkBytes);
+    EXPECT_EQ(window.end(all) - window.begin(all), static_cast<std::ptrdiff_t>(2 * RowWindow::kChunkEntries));
+    const std::uint32_t rest = window.take(4 * RowWindow::kChunkEntries);
+    EXPECT_EQ(window.begin(rest), window.end(all));
+    window.shrink(rest, window.begin(rest)); // none made: one chunk stays
+    EXPECT_EQ(window.heldBytes(), 3 * RowWindow::kChunkBytes);
+    window.shrink(rest, window.end(rest));
+    EXPECT_EQ(window.heldBytes(), 3 * RowWindow::kChunkBytes);
+}
+
+// Chunks of two pieces of memory are no row's, however they were released.
+TEST(RowWindow, KeepsPiecesOfMemoryApart)
+{
+    std::vector<std::uint32_t> lent(2 * RowWindow::kChunkEntries);
+    RowWindow window(2 * RowWindow::kChunkBytes, {lent.data(), lent.size()});
+    std::vector<std::uint32_t> chunks(4);
+    for (std::uint32_t& chunk : chunks) chunk = window.take(1);
+    if (window.begin(chunks[2]) == lent.data() + lent.size()) GTEST_SKIP() << "one lies behind the other";
+    for (const std::uint32_t chunk : chunks) window.release(chunk);
+    EXPECT_THROW(window.take(3 * RowWindow::kChunkEntries), RowWindow::Exceeded);
+    for (int k = 0; k < 2; ++k) {
+        const std::uint32_t first = window.take(2 * RowWindow::kChunkEntries);
+        EXPECT_EQ(window.begin(first) + RowWindow::kChunkEntries, window.begin(first + 1));
+    }
+}
+
 TEST(RowWindow, TakesWhatIsLentFirstAndDoesNotCountIt)
 {
     std::vector<std::uint32_t> lent(3 * RowWindow::kChunkEntries + 7);

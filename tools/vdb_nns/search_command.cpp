@@ -57,10 +57,8 @@ void addFlags(CLI::App& app, SearchFlags& flags)
     addEngineFlags(app, flags.engine);
     app.add_option("--encoding", flags.encoding,
                    "how lists are held: index, mask or none; default: what the outputs need, or mask if "
-                   "index lists do "
-                   "not fit. Rows that only one .npz wants go straight to the file if particles are numbered "
-                   "along space, "
-                   "or if neither fits")
+                   "index lists do not fit. Rows that only one .npz wants go straight to the file if "
+                   "particles are numbered along space, or if neither fits")
         ->type_name("NAME")
         ->check(CLI::IsMember({"index", "mask", "none"}));
     app.add_option("--lists", flags.lists, "values of an .npz: connectivity (ones) or distance")
