@@ -177,9 +177,12 @@ class TooLittle(CliCase):
             os.remove(path)
 
     def test_text_whose_positions_do_not_fit(self):
-        path = self.text("dense.xyz", "0 0 0\n" * 4000000)  # 24 MB, and 24 bytes for each position, twice
-        self.fails(4, "search", path, "-r", "1", "--host-memory", "180MB",
-                   says=["dense.xyz", "need 19200", "of memory to be read"])
+        path = self.text("dense.xyz", "0 0 0\n" * 4000000)  # 24 MB, and 24 bytes for each position, once
+        self.fails(4, "search", path, "-r", "1", "--host-memory", self.own_and(80),
+                   says=["dense.xyz", "need 96000000 bytes of memory to be read"])
+        # Once they fit, they are read, and it is the grid that does not fit.
+        self.fails(4, "search", path, "-r", "1", "--host-memory", self.own_and(150),
+                   says="grid of 4000000 particles")
 
     def own_and(self, megabytes):
         """A bound of what the program itself has before it reads a point, which hangs on its libraries, and so much more."""
@@ -220,6 +223,14 @@ class InAControlGroup(CliCase):
                 self.assertIn(done.code, expected, done.err)
                 if done.code == 0:
                     self.assertIn("straight to the file", done.out)
+                    self.assertTrue(filecmp.cmp(free, out, shallow=False))
+        # Lists that are asked for and do not fit: of a search that is repeated, rows do not go to the file as they are found.
+        for megabytes, expected in ((100, (0, 4)), (150, (0, 4)), (250, (0, 4)), (400, (0,))):
+            with self.subTest(megabytes=megabytes, repeat=2), cli_case.memory_group(megabytes << 20) as enter:
+                done = cli_case.run("search", path, "-r", "0.2", "-o", out, "-f", "-T", "2", "--repeat", "2", preexec_fn=enter)
+                self.assertIn(done.code, expected, done.err)
+                if done.code == 0:
+                    self.assertRegex(done.err, "allowed are .* straight to the file instead")
                     self.assertTrue(filecmp.cmp(free, out, shallow=False))
 
 
