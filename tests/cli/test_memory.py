@@ -58,6 +58,18 @@ class Bound(CliCase):
                 self.assertEqual(report["result"], free["result"])
                 self.assertEqual(report["plan"]["candidate_tests"], free["plan"]["candidate_tests"])
 
+    def test_crowded_rows_go_to_the_file_as_they_are_found(self):
+        # Queries with 25000 candidates each, and 2000 neighbors: memory that rows ask for and do not use serves others.
+        path = self.npy("crowd.npy", np.random.default_rng(1).random((25000, 3)))
+        args = ("-r", "0.3", "--cell-size", "3")
+        self.search(path, *args, "--encoding", "index")
+        self.args = (path, *args)
+        report = self.bounded(250, "index", 9 * 25000)
+        self.assertTrue(report["plan"]["straight_to_file"])
+        self.assertLess(report["memory"]["peak_rss_bytes"], 170 * MB)
+        done = self.succeeds("search", *self.args, "-o", self.out, "-f", "-T", "2", "--host-memory", "250MB")
+        self.assertEqual(done.err, "")  # no second search for what did not fit
+
     def test_index_then_straight_to_the_file(self):
         # 31 M pairs: 124 MB as indices, about 25 as masks. The program alone is some 45 MB.
         path = self.scene("block", 300000)
