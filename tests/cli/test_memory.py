@@ -59,7 +59,7 @@ class Bound(CliCase):
                 self.assertEqual(report["plan"]["candidate_tests"], free["plan"]["candidate_tests"])
 
     def test_crowded_rows_go_to_the_file_as_they_are_found(self):
-        # Queries with 25000 candidates each, and 2000 neighbors: memory that rows ask for and do not use serves others.
+        # 25000 candidates a query, and 2000 neighbors: memory that rows ask for and do not use serves others.
         path = self.npy("crowd.npy", np.random.default_rng(1).random((25000, 3)))
         args = ("-r", "0.3", "--cell-size", "3")
         self.search(path, *args, "--encoding", "index")
@@ -236,10 +236,11 @@ class InAControlGroup(CliCase):
                 if done.code == 0:
                     self.assertIn("straight to the file", done.out)
                     self.assertTrue(filecmp.cmp(free, out, shallow=False))
-        # Lists that are asked for and do not fit: of a search that is repeated, rows do not go to the file as they are found.
+        # A search that is repeated makes lists first; they do not fit.
         for megabytes, expected in ((100, (0, 4)), (150, (0, 4)), (250, (0, 4)), (400, (0,))):
             with self.subTest(megabytes=megabytes, repeat=2), cli_case.memory_group(megabytes << 20) as enter:
-                done = cli_case.run("search", path, "-r", "0.2", "-o", out, "-f", "-T", "2", "--repeat", "2", preexec_fn=enter)
+                done = cli_case.run("search", path, "-r", "0.2", "-o", out, "-f", "-T", "2", "--repeat", "2",
+                                    preexec_fn=enter)
                 self.assertIn(done.code, expected, done.err)
                 if done.code == 0:
                     self.assertRegex(done.err, "allowed are .* straight to the file instead")
