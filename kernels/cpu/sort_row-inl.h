@@ -1,9 +1,9 @@
 // Sorts a row of numbers ascending: bitonic networks (Batcher 1968) in registers, and merges of what they sorted for rows that
 // registers do not hold. No branch depends on the numbers but one for each vector that is merged. Internal linkage; see simd.h.
 //
-// Their steps are always inlined: a call would store the vectors. Networks compare ascending throughout: a merge of two
-// runs first compares the one with the other reversed (lane i with i ^ x, all bits of x set), then halves with halves.
-// Rows are filled up with 2^32-1, which no particle has for its number.
+// Their steps are always inlined: a call would store the vectors. Networks compare ascending throughout: a
+// merge of two runs first compares the one with the other reversed (lane i with i ^ x, all bits of x set),
+// then halves with halves. Rows are filled up with 2^32-1, which no particle has for its number.
 #pragma once
 
 #include "cpu/kernels.h"

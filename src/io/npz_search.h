@@ -25,9 +25,9 @@ struct NpzSearchResult {
     double writeSeconds = 0; // for what could be written only once all rows were found
 };
 
-// Returns nothing, and writes nothing, if the rows that must wait for others do not fit in `windowBytes`; that is so for
-// particles that are numbered in random order. Throws what SearchEngine::search() and writeNpz() throw. Ignores
-// `search.encoding` and `search.hostMemoryBytes`.
+// Returns nothing, and writes nothing, if the rows that must wait for others do not fit in `windowBytes`;
+// that is so for particles that are numbered in random order. Throws what SearchEngine::search() and
+// writeNpz() throw. Ignores `search.encoding` and `search.hostMemoryBytes`.
 std::optional<NpzSearchResult> searchToNpz(EngineState& engine, const SparseGrid& grid,
                                            const SearchOptions& search, const NpzSearchOptions& options);
 

@@ -31,15 +31,15 @@ public:
     // @throws OutputError
     void writeAt(std::uint64_t offset, const void* data, std::size_t bytes);
 
-    // Allocates the blocks of these bytes, as far as they have none. Those past the end of the file are given back by commit().
-    // Writes into allocated blocks are cheaper. Renaming is, too: where ext4 allocates blocks only when it flushes them, it
-    // flushes a file before the rename that replaces another one.
-    // Advice: nothing is reserved, and no error reported, where the file system refuses or has less free; a write then
-    // reports a full disk. No other thread may write to the file meanwhile.
+    // Allocates the blocks of these bytes, as far as they have none. Those past the end of the file are given
+    // back by commit(). Writes into allocated blocks are cheaper. Renaming is, too: where ext4 allocates
+    // blocks only when it flushes them, it flushes a file before the rename that replaces another one.
+    // Advice: nothing is reserved, and no error reported, where the file system refuses or has less free; a
+    // write then reports a full disk. No other thread may write to the file meanwhile.
     void reserve(std::uint64_t begin, std::uint64_t end);
 
-    // Throws OutputError unless the disk has room for a file of so many bytes. To be called before anything is written or
-    // reserved, which would count twice. Other programs may take the room all the same.
+    // Throws OutputError unless the disk has room for a file of so many bytes. To be called before anything
+    // is written or reserved, which would count twice. Other programs may take the room all the same.
     void requireRoom(std::uint64_t bytes) const;
 
     // Of the disk, for this user; empty where the file system does not know.

@@ -35,8 +35,8 @@ public:
     std::uint32_t take(std::size_t entries);
     void addRows(std::uint32_t first, std::uint32_t count) { mChunks[first].held += count; }
     void release(std::uint32_t first, std::uint32_t count = 1);
-    // Frees those chunks that lie entirely behind `used`, which is in them or at their end. By the thread that took them, before
-    // its release().
+    // Frees those chunks that lie entirely behind `used`, which is in them or at their end. By the thread
+    // that took them, before its release().
     void shrink(std::uint32_t first, const std::uint32_t* used);
 
     std::uint64_t heldBytes() const { return mHeldChunks * kChunkBytes; }

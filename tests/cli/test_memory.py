@@ -58,6 +58,18 @@ class Bound(CliCase):
                 self.assertEqual(report["result"], free["result"])
                 self.assertEqual(report["plan"]["candidate_tests"], free["plan"]["candidate_tests"])
 
+    def test_crowded_rows_go_to_the_file_as_they_are_found(self):
+        # 25000 candidates a query, and 2000 neighbors: memory that rows ask for and do not use serves others.
+        path = self.npy("crowd.npy", np.random.default_rng(1).random((25000, 3)))
+        args = ("-r", "0.3", "--cell-size", "3")
+        self.search(path, *args, "--encoding", "index")
+        self.args = (path, *args)
+        report = self.bounded(250, "index", 9 * 25000)
+        self.assertTrue(report["plan"]["straight_to_file"])
+        self.assertLess(report["memory"]["peak_rss_bytes"], 170 * MB)
+        done = self.succeeds("search", *self.args, "-o", self.out, "-f", "-T", "2", "--host-memory", "250MB")
+        self.assertEqual(done.err, "")  # no second search for what did not fit
+
     def test_index_then_straight_to_the_file(self):
         # 31 M pairs: 124 MB as indices, about 25 as masks. The program alone is some 45 MB.
         path = self.scene("block", 300000)
@@ -177,9 +189,12 @@ class TooLittle(CliCase):
             os.remove(path)
 
     def test_text_whose_positions_do_not_fit(self):
-        path = self.text("dense.xyz", "0 0 0\n" * 4000000)  # 24 MB, and 24 bytes for each position, twice
-        self.fails(4, "search", path, "-r", "1", "--host-memory", "180MB",
-                   says=["dense.xyz", "need 19200", "of memory to be read"])
+        path = self.text("dense.xyz", "0 0 0\n" * 4000000)  # 24 MB, and 24 bytes for each position, once
+        self.fails(4, "search", path, "-r", "1", "--host-memory", self.own_and(80),
+                   says=["dense.xyz", "need 96000000 bytes of memory to be read"])
+        # Once they fit, they are read, and it is the grid that does not fit.
+        self.fails(4, "search", path, "-r", "1", "--host-memory", self.own_and(150),
+                   says="grid of 4000000 particles")
 
     def own_and(self, megabytes):
         """A bound of what the program itself has before it reads a point, which hangs on its libraries, and so much more."""
@@ -220,6 +235,15 @@ class InAControlGroup(CliCase):
                 self.assertIn(done.code, expected, done.err)
                 if done.code == 0:
                     self.assertIn("straight to the file", done.out)
+                    self.assertTrue(filecmp.cmp(free, out, shallow=False))
+        # A search that is repeated makes lists first; they do not fit.
+        for megabytes, expected in ((100, (0, 4)), (150, (0, 4)), (250, (0, 4)), (400, (0,))):
+            with self.subTest(megabytes=megabytes, repeat=2), cli_case.memory_group(megabytes << 20) as enter:
+                done = cli_case.run("search", path, "-r", "0.2", "-o", out, "-f", "-T", "2", "--repeat", "2",
+                                    preexec_fn=enter)
+                self.assertIn(done.code, expected, done.err)
+                if done.code == 0:
+                    self.assertRegex(done.err, "allowed are .* straight to the file instead")
                     self.assertTrue(filecmp.cmp(free, out, shallow=False))
 
 

@@ -163,8 +163,8 @@ class NoSpace(CliCase):
         for lists in ("connectivity", "distance"):
             self.succeeds("search", path, "-o", free, "-f", "--lists", lists, "-q")
             size = os.path.getsize(free) * 13 // 10
-            if os.geteuid() != 0 or subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "none", disk],
-                                                   stderr=subprocess.DEVNULL).returncode != 0:
+            mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "none", disk]
+            if os.geteuid() != 0 or subprocess.run(mount, stderr=subprocess.DEVNULL).returncode != 0:
                 self.skipTest("cannot mount a small tmpfs here")
             try:
                 with self.subTest(lists=lists):
