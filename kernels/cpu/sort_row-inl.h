@@ -1,5 +1,6 @@
 // Sorts a row of numbers ascending: bitonic networks (Batcher 1968) in registers, and merges of what they sorted for rows that
-// registers do not hold. No branch depends on the numbers but one for each vector that is merged. Internal linkage; see simd.h.
+// registers do not hold, which are mostly a few ascending runs already. No branch depends on the numbers but one for each vector
+// that is merged. Internal linkage; see simd.h.
 //
 // Their steps are always inlined: a call would store the vectors. Networks compare ascending throughout: a
 // merge of two runs first compares the one with the other reversed (lane i with i ^ x, all bits of x set),
@@ -132,25 +133,100 @@ inline void copyValues(const std::uint32_t* from, std::ptrdiff_t count, std::uin
     __builtin_memcpy(to, from, static_cast<std::size_t>(count) * sizeof(std::uint32_t));
 }
 
-// Two runs of whole vectors into one; none is empty.
-inline void mergeRuns(const std::uint32_t* a, const std::uint32_t* aEnd, const std::uint32_t* b,
-                      const std::uint32_t* bEnd, std::uint32_t* out)
+// A run that is taken by vectors.
+struct SortedRun {
+    const std::uint32_t* next;
+    std::ptrdiff_t left;
+
+    Simd::I take()
+    {
+        const Simd::I v = loadUpTo(next, left);
+        next += kSortLanes;
+        left -= kSortLanes;
+        return v;
+    }
+};
+
+// Two ascending runs into one; none is empty. Up to kSortOverrun entries are written behind it.
+inline void mergeRuns(SortedRun a, SortedRun b, std::uint32_t* out)
 {
-    Simd::I v[2] = {Simd::load(a), Simd::load(b)};
-    a += kSortLanes;
-    b += kSortLanes;
+    const std::uint32_t* const end = out + a.left + b.left;
+    Simd::I v[2] = {a.take(), b.take()};
     for (;;) {
         mergeHalves<2>(v);
         Simd::store(out, v[0]);
         out += kSortLanes;
-        if (a == aEnd && b == bEnd) break;
+        if (a.left <= 0 && b.left <= 0) break;
         // The next vector comes from the run that goes on lower; what is left of the last two is no larger than the other's.
-        const bool takesA = b == bEnd || (a != aEnd && *a <= *b);
-        v[0] = Simd::load(takesA ? a : b);
-        a += takesA ? kSortLanes : 0;
-        b += takesA ? 0 : kSortLanes;
+        const bool takesA = b.left <= 0 || (a.left > 0 && *a.next <= *b.next);
+        v[0] = (takesA ? a : b).take();
     }
-    Simd::store(out, v[1]);
+    if (out < end) Simd::store(out, v[1]); // else it only fills up
+}
+
+// Ends of the runs of a row.
+struct RunEnds {
+    static constexpr int kMost = 8;
+
+    std::ptrdiff_t end[kMost];
+    int count = 0;
+
+    bool add(std::ptrdiff_t at)
+    {
+        if (count == kMost) return false;
+        end[count++] = at;
+        return true;
+    }
+};
+
+// The ascending runs of a row, which follow from the order of cells: a few, if they are long. False for more than are merged.
+inline bool findRuns(const std::uint32_t* row, std::ptrdiff_t count, RunEnds& runs)
+{
+    std::ptrdiff_t i = 1;
+    for (; i + kSortLanes <= count; i += kSortLanes) {
+        const Simd::I before = Simd::load(row + i - 1), low = Simd::minUnsigned(before, Simd::load(row + i));
+        const auto ascends = static_cast<std::uint32_t>(Simd::lessEqual(before, low)) &
+                             static_cast<std::uint32_t>(Simd::lessEqual(low, before));
+        for (std::uint32_t descends = ~ascends & static_cast<std::uint32_t>(kAllLanes); descends != 0;
+             descends &= descends - 1) {
+            if (!runs.add(i + __builtin_ctz(descends))) return false;
+        }
+    }
+    for (; i < count; ++i) {
+        if (row[i - 1] > row[i] && !runs.add(i)) return false;
+    }
+    return runs.add(count);
+}
+
+// Merges the runs of a row, two by two.
+inline bool sortByRuns(const std::uint32_t* row, std::ptrdiff_t count, std::uint32_t* out,
+                       std::uint32_t* scratch)
+{
+    RunEnds runs;
+    if (!findRuns(row, count, runs)) return false;
+    const std::uint32_t* from = row;
+    std::uint32_t* to = scratch;
+    while (runs.count > 1) {
+        if (runs.count == 2) to = out;
+        std::ptrdiff_t begin = 0;
+        int merged = 0;
+        for (int r = 0; r < runs.count; r += 2) {
+            const std::ptrdiff_t middle = runs.end[r];
+            if (r + 1 == runs.count) {
+                copyValues(from + begin, middle - begin, to + begin);
+                runs.end[merged++] = middle;
+                break;
+            }
+            const std::ptrdiff_t end = runs.end[r + 1];
+            mergeRuns({from + begin, middle - begin}, {from + middle, end - middle}, to + begin);
+            runs.end[merged++] = begin = end;
+        }
+        runs.count = merged;
+        from = to;
+        to = to == scratch ? scratch + count + kSortBlock : scratch;
+    }
+    if (from == row) copyValues(row, count, out);
+    return true;
 }
 
 inline void sortLong(const std::uint32_t* row, std::ptrdiff_t count, std::uint32_t* out,
@@ -173,7 +249,7 @@ inline void sortLong(const std::uint32_t* row, std::ptrdiff_t count, std::uint32
             const std::ptrdiff_t middle = begin + run < filled ? begin + run : filled;
             const std::ptrdiff_t end = middle + run < filled ? middle + run : filled;
             if (middle < end) {
-                mergeRuns(from + begin, from + middle, from + middle, from + end, to + begin);
+                mergeRuns({from + begin, middle - begin}, {from + middle, end - middle}, to + begin);
             } else {
                 copyValues(from + begin, end - begin, to + begin);
             }
@@ -185,13 +261,6 @@ inline void sortLong(const std::uint32_t* row, std::ptrdiff_t count, std::uint32
     copyValues(from, count, out);
 }
 
-inline bool isAscending(const std::uint32_t* row, std::ptrdiff_t count)
-{
-    std::ptrdiff_t i = 1;
-    while (i < count && row[i - 1] < row[i]) ++i;
-    return i >= count;
-}
-
 void sortRow(const std::uint32_t* row, std::size_t size, std::uint32_t* out, std::uint32_t* scratch)
 {
     const auto count = static_cast<std::ptrdiff_t>(size);
@@ -200,9 +269,7 @@ void sortRow(const std::uint32_t* row, std::size_t size, std::uint32_t* out, std
     if (count <= 3 * kSortLanes) return sortInRegisters<3>(row, count, out);
     if (count <= 4 * kSortLanes) return sortInRegisters<4>(row, count, out);
     if (count <= kSortBlock) return sortInRegisters<kSortRegisters>(row, count, out);
-    // The rows of a crowded cell mostly ascend.
-    if (isAscending(row, count)) return copyValues(row, count, out);
-    sortLong(row, count, out, scratch);
+    if (!sortByRuns(row, count, out, scratch)) sortLong(row, count, out, scratch);
 }
 
 } // namespace

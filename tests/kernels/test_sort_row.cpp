@@ -50,5 +50,26 @@ TEST(SortRow, SortsAsStdSortDoes)
     }
 }
 
+// As rows are whose particles are numbered along space.
+TEST(SortRow, SortsRowsOfAFewAscendingRuns)
+{
+    std::mt19937 random(2);
+    for (int level = 0; level <= static_cast<int>(bestSimdLevel()); ++level) {
+        SCOPED_TRACE(simdLevelName(static_cast<SimdLevel>(level)));
+        const SortRowFunction sort = kernelsFor(static_cast<SimdLevel>(level)).sortRow;
+        for (int k = 0; k < 4000; ++k) {
+            std::vector<std::uint32_t> row;
+            for (std::size_t runs = 1 + random() % 12; runs > 0; --runs) { // more than are merged, too
+                std::vector<std::uint32_t> run(1 + random() % (k % 3 ? 40 : 700));
+                for (std::uint32_t& number : run) number = random() % 2 ? random() : random() % 1000;
+                std::sort(run.begin(), run.end());
+                row.insert(row.end(), run.begin(), run.end());
+            }
+            for (std::uint32_t& number : row) number -= number == 0xFFFFFFFFu; // fills up
+            expectSorted(sort, row);
+        }
+    }
+}
+
 } // namespace
 } // namespace vdb_nns
