@@ -97,9 +97,10 @@ Places placesOfFields(const ArrayFile& file, const NpyHeader& header)
                                    " fields, from 0: " + list(names));
             }
         } else {
-            const std::string name(1, "xyz"[k]);
+            const std::string name(1, "xyz"[k]), capital(1, "XYZ"[k]);
             for (std::size_t i = 0; i < header.fields.size(); ++i) {
-                if (header.fields[i].name == name) number = i;
+                const bool isCapital = header.fields[i].name == capital && number == header.fields.size();
+                if (header.fields[i].name == name || isCapital) number = i;
             }
             if (number == header.fields.size()) {
                 throw InputError(path + ": the records of the .npy file have no field '" + name + "', but " +
@@ -123,8 +124,16 @@ Places placesOfColumns(const ArrayFile& file, const NpyHeader& header)
     if (!header.type.isNumber()) refuseType(path, header.descr);
     const std::vector<std::uint64_t>& shape = header.shape;
     const std::string is = path + ": .npy shape " + shapeText(shape) + " is not (N, 3)";
-    if (shape.size() == 1) throw InputError(is + "; save positions.reshape(-1, 3) if it is x y z x y z ...");
-    if (shape.size() != 2) throw InputError(is + "; save positions.reshape(-1, 3)");
+    if (shape.size() == 1) {
+        throw InputError(is + (shape[0] % 3 == 0
+                                   ? "; save positions.reshape(-1, 3) if it is x y z x y z ..."
+                                   : "; positions need three coordinates: numpy.column_stack((x, y, z))"));
+    }
+    if (shape.size() == 3 && shape[2] == 3) {
+        throw InputError(is +
+                         "; save one frame, positions[0], or all of them as one, positions.reshape(-1, 3)");
+    }
+    if (shape.size() != 2) throw InputError(is + "; save an array of points with three coordinates each");
     const std::uint64_t width = shape[1];
     if (width < 3) {
         throw InputError(is + (shape[0] == 3 ? "; save positions.T" : "; positions need three coordinates"));
@@ -132,7 +141,8 @@ Places placesOfColumns(const ArrayFile& file, const NpyHeader& header)
     const std::vector<std::uint32_t>& columns = file.choice.columns;
     if (width > 3 && columns.empty()) {
         throw InputError(is + (shape[0] == 3 ? "; save positions.T, or, if its rows are points, " : "; ") +
-                         "say which columns are x, y and z (--columns 0,1,2), or save positions[:, :3]");
+                         "say which columns are x, y and z (--columns 0,1,2), or save positions[:, :3]" +
+                         (width % 3 == 0 ? ", or positions[0].reshape(-1, 3) if each row is a frame" : ""));
     }
     Places places;
     places.rows = shape[0];

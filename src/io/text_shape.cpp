@@ -13,6 +13,7 @@
 #include "vdb_nns/error.h"
 
 #include <algorithm>
+#include <array>
 #include <cctype>
 #include <cmath>
 #include <set>
@@ -24,7 +25,7 @@ namespace {
 // Rows that are looked at for a column that numbers the points.
 constexpr std::size_t kSampledRows = 100;
 // In the comment of "extended" .xyz.
-constexpr std::string_view kProperties = "Properties=";
+constexpr std::string_view kProperties = "properties="; // in lower case
 
 struct Line {
     const char* begin = nullptr;
@@ -83,13 +84,18 @@ char separatorOfNames(std::string_view text)
     return text.find(',') != std::string_view::npos ? ',' : ' ';
 }
 
+std::string inLowerCase(std::string_view text)
+{
+    std::string lower(text);
+    for (char& c : lower) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+    return lower;
+}
+
 // In lower case, without quotes.
 std::string plainName(std::string_view name)
 {
     if (name.size() >= 2 && name.front() == '"' && name.back() == '"') name = name.substr(1, name.size() - 2);
-    std::string plain(trimmed(name));
-    for (char& c : plain) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-    return plain;
+    return inLowerCase(trimmed(name));
 }
 
 class ShapeFinder {
@@ -109,7 +115,12 @@ public:
         Line line;
         if (!nextLine(line)) return mShape;
         if (isNames(line)) {
-            if (!nextLine(line)) return mShape;
+            const Line names = line;
+            if (!nextLine(line)) {
+                if (!columnsOf(mNames))
+                    fail(names.begin, "has no number, and no row follows: '" + shownText(names.text) + "'");
+                return mShape;
+            }
         }
         if (isCount(line)) {
             if (!readCount(line)) return mShape;
@@ -150,8 +161,10 @@ private:
         while (mNext != mEnd) {
             line = rawLine(mNext);
             mNext = line.next;
+            const std::string_view whole = trimmed(line.text);
             line.text = trimmed(withoutComment(line.text));
             if (!line.text.empty()) return true;
+            if (!whole.empty()) mLastRemark = trimmed(whole.substr(1));
         }
         return false;
     }
@@ -188,9 +201,10 @@ private:
         const Line comment = rawLine(line.next), first = rawLine(comment.next == mEnd ? mEnd : comment.next);
         const std::string_view rest = trimmed(withoutComment(comment.text));
         const bool hasRow = numbersIn(fieldsOf(rest, separatorOf(rest))) >= 3 &&
-                            rest.find(kProperties) == std::string_view::npos; // a lattice has numbers too
+                            rest.find('=') == std::string_view::npos; // Lattice="1 0 0 ..." has numbers too
         const std::vector<std::string_view> atom = fieldsOf(trimmed(first.text), ' ');
-        const bool hasElement = atom.size() >= 4 && !isNumber(atom[0]) && isNumber(atom[1]);
+        const bool hasElement = atom.size() >= 4 && isNumber(atom[1]) &&
+                                (!isNumber(atom[0]) || (rest.empty() && isAtomicNumber(atom)));
         const bool hasComment = mNames.empty() && !hasRow && !rest.empty();
         if (hasElement || hasComment) {
             readFrame(comment);
@@ -199,6 +213,14 @@ private:
             mShape.end = mEnd;
         }
         return count > 0;
+    }
+
+    // Of a row behind a comment that says nothing, in a file whose name is that of chemistry.
+    bool isAtomicNumber(const std::vector<std::string_view>& row) const
+    {
+        const std::string path = inLowerCase(mFile.path);
+        return path.size() > 4 && path.compare(path.size() - 4, 4, ".xyz") == 0 && mNames.empty() &&
+               isInteger(row[0]) && !(isInteger(row[1]) && isInteger(row[2]) && isInteger(row[3]));
     }
 
     // Of chemistry's .xyz: as many lines as counted; more frames may follow.
@@ -240,7 +262,8 @@ private:
             fail(line.begin, "has fewer than three columns: '" + shownText(line.text) +
                                  "'; a row is x y z, with blanks, tabs, commas or semicolons between");
         }
-        if (!chosenColumns(line) && !namedColumns() && !chemicalColumns(fields)) warnOfNumbers();
+        if (!chosenColumns(line) && !namedColumns() && !chemicalColumns(fields) && !remarkedColumns())
+            warnOfNumbers();
         if (mShape.width > 3 || mShape.columns[0] != 0 || mShape.columns[1] != 1) {
             mShape.taken = "columns " + std::to_string(mShape.columns[0]) + ", " +
                            std::to_string(mShape.columns[1]) + " and " + std::to_string(mShape.columns[2]) +
@@ -266,18 +289,40 @@ private:
     bool namedColumns()
     {
         if (mNames.empty()) return false;
-        for (std::size_t k = 0; k < 3; ++k) {
-            const auto found = std::find(mNames.begin(), mNames.end(), std::string(1, "xyz"[k]));
-            if (found == mNames.end() || mNames.size() != mShape.width) {
-                mShape.notes.push_back(
-                    "the line of names does not name x, y and z for the " + std::to_string(mShape.width) +
-                    " columns, and the first three were taken; choose with --columns 0,1,2");
-                for (std::uint32_t c = 0; c < 3; ++c) mShape.columns[c] = c;
-                return true;
-            }
-            mShape.columns[k] = static_cast<std::uint32_t>(found - mNames.begin());
-        }
+        if (takeNamed(mNames)) return true;
+        mShape.notes.push_back("the line of names does not name x, y and z for the " +
+                               std::to_string(mShape.width) +
+                               " columns, and the first three were taken; choose with --columns 0,1,2");
         return true;
+    }
+
+    // The last comment before the rows, as numpy.savetxt writes names.
+    bool remarkedColumns()
+    {
+        std::vector<std::string> names;
+        for (const std::string_view name : fieldsOf(mLastRemark, separatorOfNames(mLastRemark)))
+            names.push_back(plainName(name));
+        return takeNamed(names);
+    }
+
+    bool takeNamed(const std::vector<std::string>& names)
+    {
+        const std::optional<std::array<std::uint32_t, 3>> columns = columnsOf(names);
+        if (!columns || names.size() != mShape.width) return false;
+        std::copy(columns->begin(), columns->end(), mShape.columns);
+        return true;
+    }
+
+    // Of x, y and z among names.
+    static std::optional<std::array<std::uint32_t, 3>> columnsOf(const std::vector<std::string>& names)
+    {
+        std::array<std::uint32_t, 3> columns{};
+        for (std::size_t k = 0; k < 3; ++k) {
+            const auto found = std::find(names.begin(), names.end(), std::string(1, "xyz"[k]));
+            if (found == names.end()) return std::nullopt;
+            columns[k] = static_cast<std::uint32_t>(found - names.begin());
+        }
+        return columns;
     }
 
     bool chemicalColumns(const std::vector<std::string_view>& fields)
@@ -285,22 +330,23 @@ private:
         if (!mIsChemistry) return false;
         std::uint32_t first = mShape.width > 3 && (!isNumber(fields[0]) || isInteger(fields[0])) ? 1 : 0;
         if (const std::optional<std::uint32_t> position = positionProperty()) first = *position;
-        if (first + 3 > mShape.width)
-            fail(mShape.begin, "has " + std::to_string(mShape.width) +
-                                   " columns, and the positions begin at column " + std::to_string(first));
         for (std::uint32_t k = 0; k < 3; ++k) mShape.columns[k] = first + k;
         return true;
     }
 
-    // Column of `pos` after the comment's Properties=name:type:columns:...
+    // Column of `pos` after the comment's Properties=name:type:columns:..., which must be those of the rows.
     std::optional<std::uint32_t> positionProperty() const
     {
-        const std::size_t at = mComment.find(kProperties);
-        if (at == std::string_view::npos) return std::nullopt;
-        std::string_view list = mComment.substr(at + kProperties.size());
+        const std::string comment = inLowerCase(mComment);
+        const std::size_t at = comment.find(kProperties);
+        if (at == std::string::npos) return std::nullopt;
+        std::string_view list = std::string_view(comment).substr(at + kProperties.size());
         if (!list.empty() && list.front() == '"') list.remove_prefix(1);
         list = list.substr(0, list.find_first_of(" \t\""));
-        std::uint32_t column = 0;
+        const std::string is = "follows Properties=" + shownText(list) + ", ";
+        const std::string choose = "; say which columns are x, y and z (--columns 1,2,3)";
+        std::optional<std::uint32_t> position;
+        std::uint32_t columns = 0;
         while (!list.empty()) {
             std::string_view part[3];
             for (std::string_view& each : part) {
@@ -310,11 +356,16 @@ private:
             }
             double count = 0;
             if (readNumber(part[2], count) != NumberText::kNumber || !(count >= 1 && count < 1000))
-                return std::nullopt;
-            if (part[0] == "pos" && count == 3) return column;
-            column += static_cast<std::uint32_t>(count);
+                fail(mShape.begin, is + "which is no list of name:type:columns" + choose);
+            if (part[0] == "pos" && count == 3 && !position) position = columns;
+            columns += static_cast<std::uint32_t>(count);
         }
-        return std::nullopt;
+        if (!position) fail(mShape.begin, is + "which names no pos of three columns" + choose);
+        if (columns != mShape.width) {
+            fail(mShape.begin, is + "which are " + std::to_string(columns) + " columns, and has " +
+                                   std::to_string(mShape.width) + choose);
+        }
+        return position;
     }
 
     // A first column of integers that ascend, or that are few, beside columns that are no integers.
@@ -355,6 +406,7 @@ private:
     std::vector<std::string> mNames; // in lower case
     bool mIsChemistry = false;
     std::string_view mComment;
+    std::string_view mLastRemark; // of lines that begin with #
 };
 
 } // namespace

@@ -157,6 +157,10 @@ TEST(NpyReader, readsRecords)
     EXPECT_ERROR(parsedNpy(npy(dictionary("[('x', [('a', '<f4')])]", "(1,)"), std::string(4, ' '))),
                  "inside");
     EXPECT_THROW(convertedNpy(npy(dictionary(descr, "(2,)"), values), {{0, 1, 5}, {}}), InvalidInput);
+    EXPECT_EQ(
+        parsedNpy(npy(dictionary("[('X', '<f4'), ('Y', '<f4'), ('Z', '<f4')]", "(1,)"), std::string(12, ' ')))
+            .count,
+        1u);
     // Two of these make a packed row, and are used in place.
     EXPECT_EQ(
         parsedNpy(npy(dictionary("[('x', '<f8'), ('y', '<f8'), ('z', '<f8')]", "(2,)"), std::string(48, ' ')))
@@ -175,7 +179,11 @@ TEST(NpyReader, saysWhatToSaveInstead)
     EXPECT_ERROR(parsedNpy(npy(npyDictionary("<f4", "(3, 2)"), values)), "save positions.T");
     EXPECT_ERROR(parsedNpy(npy(npyDictionary("<f4", "(2, 2)"), values)), "need three coordinates");
     EXPECT_ERROR(parsedNpy(npy(npyDictionary("<f4", "()"), values)), "shape () is not (N, 3)");
-    EXPECT_ERROR(parsedNpy(npy(npyDictionary("<f4", "(1, 2, 3)"), values)), "save positions.reshape(-1, 3)");
+    EXPECT_ERROR(parsedNpy(npy(npyDictionary("<f4", "(1, 2, 3)"), values)),
+                 "save one frame, positions[0], or");
+    EXPECT_ERROR(parsedNpy(npy(npyDictionary("<f4", "(1, 6)"), values)), "positions[0].reshape(-1, 3)");
+    EXPECT_ERROR(parsedNpy(npy(npyDictionary("<f4", "(2,)"), values)), "column_stack");
+    EXPECT_ERROR(parsedNpy(npy(npyDictionary("<f4", "(3, 1, 2)"), values)), "three coordinates each");
     EXPECT_ERROR(parsedNpy(npy(npyDictionary("<f4", "(1, 6)"), values)),
                  "(--columns 0,1,2), or save positions[:, :3]");
     EXPECT_THROW(convertedNpy(npy(npyDictionary("<f4", "(1, 6)"), values), {{0, 1, 6}, {}}), InvalidInput);

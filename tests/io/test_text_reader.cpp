@@ -89,6 +89,9 @@ TEST(TextReader, findsColumns)
     EXPECT_EQ(valuesOf("\"x\";\"y\";\"z\"\n1;2;3\n4;5;6\n"), expected);
     EXPECT_EQ(valuesOf("1 , 2 , 3\n4 ,5 , 6\n"), expected);
     EXPECT_EQ(valuesOf("x y z\n"), Values{});
+    EXPECT_ERROR(valuesOf("This is no table.\n"), "has no number, and no row follows: 'This is no table.'");
+    EXPECT_EQ(valuesOf("# made by a test\n# mass x y z\n9 1 2 3\n9 4 5 6\n"), expected); // numpy.savetxt
+    EXPECT_EQ(valuesOf("# z y\n1 2 3\n4 5 6\n"), expected);
     const ReadArray unnamed = parsed("lon lat height\n1 2 3\n4 5 6\n");
     EXPECT_EQ(unnamed.positions.doubles, expected);
     ASSERT_EQ(unnamed.notes.size(), 1u);
@@ -144,6 +147,21 @@ TEST(TextReader, readsChemistry)
     EXPECT_EQ(valuesOf("2\nLattice=\"1 0 0\" Properties=species:S:1:forces:R:3:pos:R:3 pbc=\"T T T\"\n"
                        "H 9 9 9 1 2 3\nO 9 9 9 4 5 6\n"),
               expected);
+    // Numbers in the comment, and any case.
+    EXPECT_EQ(valuesOf("2\nLattice=\"1.0 0.0 0.0 0.5 0.5 0.0\" properties=Z:I:1:pos:R:3\n1 1 2 3\n8 4 5 6\n"),
+              expected);
+    EXPECT_EQ(valuesOf("2\nLattice=\"1.0 0.0 0.0 0.5 0.5 0.0\"\n1 1 2 3\n8 4 5 6\n"), expected);
+    EXPECT_EQ(valuesOf("2\n\n1 1 2.5 3\n8 4 5 6\n"), (Values{1, 2.5, 3, 4, 5, 6}));
+    EXPECT_EQ(valuesOf("2\n# water\n1 1 2.5 3\n8 4 5 6\n"), (Values{1, 2.5, 3, 4, 5, 6}));
+    // Other columns than positions are none.
+    for (const char* properties :
+         {"species:S:1:frc:R:3", "species:S:1:pos:R:2", "species:S:1:velo:R:3:Q:R:3"})
+        EXPECT_ERROR(valuesOf("2\nProperties=" + std::string(properties) + "\n" + rows), "which names no pos")
+            << properties;
+    EXPECT_ERROR(valuesOf("2\nProperties=species:S:1:pos:R:3:q:R:1\n" + rows),
+                 "which are 5 columns, and has 4");
+    EXPECT_ERROR(valuesOf("2\nProperties=species:S:1:mass\n" + rows), "no list of name:type:columns");
+    EXPECT_EQ(valuesOf("2\nProperties=species:S:1:frc:R:3\n" + rows, {{1, 2, 3}, {}}), expected);
     EXPECT_ERROR(valuesOf("3\nwater\n" + rows), "line 1 counts 3 points, and 2 rows follow");
     EXPECT_ERROR(valuesOf("1\nwater\n" + rows),
                  "line 4 (byte 16) follows the 1 rows that line 1 counts: 'O 4 5 6'");

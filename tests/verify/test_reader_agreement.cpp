@@ -181,10 +181,11 @@ MadeFile makeText(Maker& maker)
     if (isChemistry) {
         const bool hasProperties = maker.flip();
         isAtomicNumber = maker.flip();
-        file.bytes +=
-            std::to_string(rows) + lineEnd +
-            (hasProperties ? "Lattice=\"1 0 0 0 1 0 0 0 1\" Properties=Z:I:1:pos:R:3" : "a molecule") +
-            lineEnd;
+        const std::string others = width > 4 ? ":more:R:" + std::to_string(width - 4) : "";
+        file.bytes += std::to_string(rows) + lineEnd +
+                      (hasProperties ? "Lattice=\"1 0 0 0 1 0 0 0 1\" Properties=Z:I:1:pos:R:3" + others
+                                     : "a molecule") +
+                      lineEnd;
     } else if (maker.below(3) == 0) {
         // Behind a number that ends the text, or a blank line, chemistry would have its comment.
         file.bytes += std::to_string(rows) + lineEnd;

@@ -200,9 +200,11 @@ private:
             mInput.checkColumn(mInput.options.columns[k], fields.size());
             return mInput.options.columns[k];
         }
-        const std::string name(1, "xyz"[k]);
-        for (std::size_t i = 0; i < fields.size(); ++i) {
-            if (fields[i].name == name) return i;
+        const std::string name(1, "xyz"[k]), capital(1, "XYZ"[k]);
+        for (const std::string& either : {name, capital}) {
+            for (std::size_t i = 0; i < fields.size(); ++i) {
+                if (fields[i].name == either) return i;
+            }
         }
         fail("has .npy records without a field '" + name + "'");
     }

@@ -5,6 +5,7 @@
 #include "point_formats.h"
 
 #include <algorithm>
+#include <array>
 #include <cctype>
 #include <deque>
 #include <fstream>
@@ -16,7 +17,7 @@ namespace {
 using Fields = std::vector<std::string>;
 
 const char* const kBlanks = " \t\v\f";
-const char* const kProperties = "Properties="; // in the comment of "extended" .xyz
+const char* const kProperties = "properties="; // in the comment of "extended" .xyz
 
 std::string trim(const std::string& text)
 {
@@ -103,7 +104,13 @@ public:
     {
         std::string line;
         if (!nextContent(line)) return {};
-        if (isNames(line) && !nextContent(line)) return {};
+        if (isNames(line)) {
+            const bool areCoordinates = namedColumns(mNames).has_value();
+            if (!nextContent(line)) {
+                if (!areCoordinates) fail("has no number, and no row follows");
+                return {};
+            }
+        }
         if (!isDigits(line)) {
             mAhead.push_front(line);
             --mLineNumber;
@@ -155,8 +162,10 @@ private:
     bool nextContent(std::string& line)
     {
         while (nextLine(line)) {
+            const std::string remark = trim(line);
             line = contentOf(line);
             if (!line.empty()) return true;
+            if (!remark.empty() && mWidth == 0) mRemark = trim(remark.substr(1));
         }
         return false;
     }
@@ -169,14 +178,24 @@ private:
         const bool isMarked = line.compare(0, 2, "//") == 0;
         if (!isMarked && numbers > 0) return false;
         if (isMarked) line.erase(0, 2);
+        splitNames(line, mNames);
+        return true;
+    }
+
+    static void lower(std::string& text)
+    {
+        for (char& c : text) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+    }
+
+    static void splitNames(const std::string& line, Fields& names)
+    {
         const bool hasSemicolon = line.find(';') != std::string::npos;
-        split(line, hasSemicolon ? ';' : line.find(',') != std::string::npos ? ',' : ' ', mNames);
-        for (std::string& name : mNames) {
+        split(line, hasSemicolon ? ';' : line.find(',') != std::string::npos ? ',' : ' ', names);
+        for (std::string& name : names) {
             if (name.size() >= 2 && name.front() == '"' && name.back() == '"')
                 name = trim(name.substr(1, name.size() - 2));
-            for (char& c : name) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+            lower(name);
         }
-        return true;
     }
 
     // What follows the number of rows: chemistry has a comment there, which is no row, or any line at all
@@ -188,12 +207,27 @@ private:
         const std::string comment = contentOf(mAhead[0]);
         std::size_t numbers = 0;
         separatorOf(comment, &numbers);
-        const bool isRow = numbers >= 3 && comment.find(kProperties) == std::string::npos;
+        const bool isRow = numbers >= 3 && comment.find('=') == std::string::npos;
         if (mNames.empty() && !comment.empty() && !isRow) return true;
         if (mAhead.size() < 2) return false;
         Fields atom;
         splitAtBlanks(mAhead[1], atom);
-        return atom.size() >= 4 && !numberOf(atom[0]) && numberOf(atom[1]);
+        if (atom.size() < 4 || !numberOf(atom[1])) return false;
+        return !numberOf(atom[0]) || (comment.empty() && mNames.empty() && beginsWithAtomicNumber(atom));
+    }
+
+    // Behind a comment that says nothing this is chemistry's only by the name of the file, and by real numbers behind it.
+    bool beginsWithAtomicNumber(const Fields& row) const
+    {
+        std::string path = mInput.path;
+        lower(path);
+        if (path.size() <= 4 || path.substr(path.size() - 4) != ".xyz" || !isInteger(row[0])) return false;
+        return !isInteger(row[1]) || !isInteger(row[2]) || !isInteger(row[3]);
+    }
+
+    static bool isInteger(const std::string& field)
+    {
+        return isDigits(field.substr(field.find_first_of("+-") == 0 ? 1 : 0));
     }
 
     // The first frame of chemistry's .xyz. Behind it may stand another one, which begins with a number too.
@@ -247,49 +281,62 @@ private:
                 mColumns[k] = chosen[k];
             }
         } else if (!mNames.empty()) {
-            chooseNamedColumns();
+            chooseNamedColumns(mNames);
         } else if (mIsChemistry) {
             const std::string& first = mFields[0];
-            const std::string digits = first.substr(first.find_first_of("+-") == 0 ? 1 : 0);
-            const bool hasElement = mWidth > 3 && (!numberOf(first) || isDigits(digits));
+            const bool hasElement = mWidth > 3 && (!numberOf(first) || isInteger(first));
             const std::size_t column = positionProperty().value_or(hasElement ? 1 : 0);
-            if (column + 3 > mWidth) fail("has no columns for the positions that the comment promises");
             for (std::size_t k = 0; k < 3; ++k) mColumns[k] = column + k;
+        } else {
+            Fields names;
+            splitNames(mRemark, names);
+            chooseNamedColumns(names);
         }
     }
 
     // Names count only if each column has one, and x, y and z are among them.
-    void chooseNamedColumns()
+    void chooseNamedColumns(const Fields& names)
     {
-        if (mNames.size() != mWidth) return;
-        std::size_t columns[3];
-        for (int k = 0; k < 3; ++k) {
-            const auto found = std::find(mNames.begin(), mNames.end(), std::string(1, "xyz"[k]));
-            if (found == mNames.end()) return;
-            columns[k] = static_cast<std::size_t>(found - mNames.begin());
+        const auto columns = namedColumns(names);
+        if (columns && names.size() == mWidth) std::copy(columns->begin(), columns->end(), mColumns);
+    }
+
+    static std::optional<std::array<std::size_t, 3>> namedColumns(const Fields& names)
+    {
+        std::array<std::size_t, 3> columns{};
+        for (std::size_t k = 0; k < 3; ++k) {
+            const auto found = std::find(names.begin(), names.end(), std::string(1, "xyz"[k]));
+            if (found == names.end()) return std::nullopt;
+            columns[k] = static_cast<std::size_t>(found - names.begin());
         }
-        std::copy(columns, columns + 3, mColumns);
+        return columns;
     }
 
     // "Extended" .xyz: Properties=species:S:1:pos:R:3, names with a type and a number of columns each.
     std::optional<std::size_t> positionProperty() const
     {
-        const std::size_t at = mComment.find(kProperties);
+        std::string list = mComment;
+        lower(list);
+        const std::size_t at = list.find(kProperties);
         if (at == std::string::npos) return std::nullopt;
-        std::string list = mComment.substr(at + std::string(kProperties).size());
+        list.erase(0, at + std::string(kProperties).size());
         if (list.compare(0, 1, "\"") == 0) list.erase(0, 1);
         list = list.substr(0, list.find_first_of(" \t\""));
         std::replace(list.begin(), list.end(), ':', ' ');
         Fields parts;
         splitAtBlanks(list, parts);
+        std::optional<std::size_t> position;
         std::size_t column = 0;
-        for (std::size_t i = 0; i + 2 < parts.size(); i += 3) {
-            if (!isDigits(parts[i + 2]) || parts[i + 2].size() > 3) return std::nullopt;
+        for (std::size_t i = 0; i < parts.size(); i += 3) {
+            if (i + 2 >= parts.size() || !isDigits(parts[i + 2]) || parts[i + 2].size() > 3)
+                fail("has a comment before it whose properties are no list");
             const std::size_t width = std::stoul(parts[i + 2]);
-            if (parts[i] == "pos" && width == 3) return column;
+            if (parts[i] == "pos" && width == 3 && !position) position = column;
             column += width;
         }
-        return std::nullopt;
+        if (!position || column != mWidth)
+            fail("has a comment before it whose properties are not its columns");
+        return position;
     }
 
     const PointInput& mInput;
@@ -302,6 +349,7 @@ private:
     Fields mNames; // in lower case
     bool mIsChemistry = false;
     std::string mComment;
+    std::string mRemark; // the last line before the rows that begins with #, without that
 
     char mSeparator = ' ';
     std::size_t mWidth = 0; // columns of a row; 0 before the first one
