@@ -343,7 +343,8 @@ private:
         std::string_view list = std::string_view(comment).substr(at + kProperties.size());
         if (!list.empty() && list.front() == '"') list.remove_prefix(1);
         list = list.substr(0, list.find_first_of(" \t\""));
-        const std::string is = "follows Properties=" + shownText(list) + ", ";
+        const auto begin = static_cast<std::size_t>(list.data() - comment.data());
+        const std::string is = "follows Properties=" + shownText(mComment.substr(begin, list.size())) + ", ";
         const std::string choose = "; say which columns are x, y and z (--columns 1,2,3)";
         std::optional<std::uint32_t> position;
         std::uint32_t columns = 0;

@@ -181,7 +181,7 @@ MadeFile makeText(Maker& maker)
     if (isChemistry) {
         const bool hasProperties = maker.flip();
         isAtomicNumber = maker.flip();
-        const std::string others = width > 4 ? ":more:R:" + std::to_string(width - 4) : "";
+        const std::string others = extra > 0 ? ":more:R:" + std::to_string(extra) : "";
         file.bytes += std::to_string(rows) + lineEnd +
                       (hasProperties ? "Lattice=\"1 0 0 0 1 0 0 0 1\" Properties=Z:I:1:pos:R:3" + others
                                      : "a molecule") +
