@@ -48,7 +48,7 @@ std::string npySeed(const std::string& descr, const std::string& shape, std::siz
 std::string littleEndian(std::uint64_t value, int bytes)
 {
     std::string text;
-    for (int i = 0; i < bytes; ++i) text += static_cast<char>(value >> (8 * i));
+    for (int i = 0; i < bytes; ++i) text += static_cast<char>(i < 8 ? value >> (8 * i) : 0);
     return text;
 }
 

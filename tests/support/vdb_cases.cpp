@@ -9,6 +9,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstring>
 #include <functional>
 #include <map>
@@ -84,16 +85,29 @@ T anyValue(Random& random)
     }
 }
 
+// OpenVDB's fixed-point codecs make integers of what they are given, and have none for NaN.
+template <typename T, typename Codec>
+T encodable(T value)
+{
+    constexpr bool isKept = std::is_same<Codec, points::NullCodec>::value || std::is_same<Codec, points::TruncateCodec>::value;
+    if constexpr (!isKept && VecTraits<T>::IsVec) {
+        for (int i = 0; i < VecTraits<T>::Size; ++i) value[i] = std::isfinite(value[i]) ? value[i] : 0;
+    } else if constexpr (!isKept && std::is_floating_point<T>::value) {
+        value = std::isfinite(value) ? value : 0;
+    }
+    return value;
+}
+
 template <typename T, typename Codec>
 void fill(points::AttributeArray& array, Random& random)
 {
     points::AttributeWriteHandle<T, Codec> handle(array);
     if (array.hasConstantStride()) {
         for (Index i = 0; i < handle.size(); ++i) {
-            for (Index j = 0; j < handle.stride(); ++j) handle.set(i, j, anyValue<T>(random));
+            for (Index j = 0; j < handle.stride(); ++j) handle.set(i, j, encodable<T, Codec>(anyValue<T>(random)));
         }
     } else {
-        for (Index i = 0; i < array.dataSize(); ++i) handle.set(i, anyValue<T>(random));
+        for (Index i = 0; i < array.dataSize(); ++i) handle.set(i, encodable<T, Codec>(anyValue<T>(random)));
     }
 }
 
