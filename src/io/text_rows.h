@@ -104,7 +104,8 @@ inline NumberText readNumber(std::string_view text, double& value)
     if (text.empty()) return NumberText::kEmpty;
     const char* next = text.data();
     const char* const what = readTextNumber<double>(next, text.data() + text.size(), value);
-    if (what) return std::string_view(what) == kIsOutOfRange ? NumberText::kTooLarge : NumberText::kNotANumber;
+    if (what)
+        return std::string_view(what) == kIsOutOfRange ? NumberText::kTooLarge : NumberText::kNotANumber;
     return next == text.data() + text.size() ? NumberText::kNumber : NumberText::kNotANumber;
 }
 

@@ -89,7 +89,8 @@ T anyValue(Random& random)
 template <typename T, typename Codec>
 T encodable(T value)
 {
-    constexpr bool isKept = std::is_same<Codec, points::NullCodec>::value || std::is_same<Codec, points::TruncateCodec>::value;
+    constexpr bool isKept =
+        std::is_same<Codec, points::NullCodec>::value || std::is_same<Codec, points::TruncateCodec>::value;
     if constexpr (!isKept && VecTraits<T>::IsVec) {
         for (int i = 0; i < VecTraits<T>::Size; ++i) value[i] = std::isfinite(value[i]) ? value[i] : 0;
     } else if constexpr (!isKept && std::is_floating_point<T>::value) {
@@ -104,7 +105,8 @@ void fill(points::AttributeArray& array, Random& random)
     points::AttributeWriteHandle<T, Codec> handle(array);
     if (array.hasConstantStride()) {
         for (Index i = 0; i < handle.size(); ++i) {
-            for (Index j = 0; j < handle.stride(); ++j) handle.set(i, j, encodable<T, Codec>(anyValue<T>(random)));
+            for (Index j = 0; j < handle.stride(); ++j)
+                handle.set(i, j, encodable<T, Codec>(anyValue<T>(random)));
         }
     } else {
         for (Index i = 0; i < array.dataSize(); ++i) handle.set(i, encodable<T, Codec>(anyValue<T>(random)));
