@@ -3,6 +3,8 @@
 #include "io/fixed_rows.h"
 #include "io/ply_body.h"
 
+#include <algorithm>
+
 namespace vdb_nns {
 
 namespace {

@@ -2,6 +2,7 @@
 // there is an up.
 #include "scene_families.h"
 
+#include <algorithm>
 #include <cmath>
 
 namespace vdb_nns::scenes {

@@ -2,6 +2,8 @@
 // far as the count goes, so every count is met exactly; n^3 particles are a full cube.
 #include "scene_families.h"
 
+#include <algorithm>
+
 namespace vdb_nns::scenes {
 
 namespace {

@@ -3,6 +3,7 @@
 // (clusters) particles with r = 2 h.
 #include "scene_families.h"
 
+#include <algorithm>
 #include <cmath>
 
 namespace vdb_nns::scenes {

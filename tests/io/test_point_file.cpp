@@ -14,6 +14,7 @@
 #include <openvdb/points/PointCount.h>
 #include <openvdb/points/PointGroup.h>
 
+#include <algorithm>
 #include <cmath>
 #include <csignal>
 #include <cstdlib>

@@ -4,6 +4,7 @@
 #include "file_numbers.h"
 #include "point_formats.h"
 
+#include <algorithm>
 #include <cstring>
 #include <fstream>
 #include <sstream>
