@@ -3,6 +3,7 @@
 #include <openvdb/openvdb.h>
 #include <openvdb/points/PointAttribute.h>
 #include <openvdb/points/PointDataGrid.h>
+#include <openvdb/points/PointGroup.h>
 
 #include <cmath>
 #include <cstdint>
@@ -172,6 +173,35 @@ void writeAffine()
     }
 }
 
+// Two grids under two transforms, the first with radii and groups: "pscale" (float) and "mass" (double) are 0.05 times
+// 1, 2, ... 7 in turn, "even" and "third" hold every second and third point, "v" is a vector.
+void writeNamedValues()
+{
+    const auto first = makeGrid<PlainP>("points", cloud(7), unit(0.25));
+    points::appendAttribute<float>(first->tree(), "pscale");
+    points::appendAttribute<double>(first->tree(), "mass");
+    points::appendAttribute<Vec3f>(first->tree(), "v");
+    points::appendAttribute<Int32>(first->tree(), "id");
+    for (const char* const group : {"even", "third"}) points::appendGroup(first->tree(), group);
+    int number = 0;
+    for (auto leaf = first->tree().beginLeaf(); leaf; ++leaf) {
+        points::AttributeWriteHandle<float> floats(leaf->attributeArray("pscale"));
+        points::AttributeWriteHandle<double> doubles(leaf->attributeArray("mass"));
+        points::GroupWriteHandle even = leaf->groupWriteHandle("even"),
+                                 third = leaf->groupWriteHandle("third");
+        for (auto index = leaf->beginIndexAll(); index; ++index, ++number) {
+            floats.set(*index, 0.05f * static_cast<float>(1 + number % 7));
+            doubles.set(*index, 0.05 * (1 + number % 7));
+            even.set(*index, number % 2 == 0);
+            third.set(*index, number % 3 == 0);
+        }
+    }
+    const math::Mat4d matrix(0.2, 0.03, -0.01, 0.0, -0.02, 0.3, 0.05, 0.0, 0.01, -0.04, -0.25, 0.0, 0.1, -0.2,
+                             0.05, 1.0);
+    const auto second = makeGrid<PlainP>("probes", cloud(4), math::Transform::createLinearTransform(matrix));
+    write("named_values.vdb", {first, second});
+}
+
 } // namespace
 
 int main(int argc, char** argv)
@@ -187,6 +217,7 @@ int main(int argc, char** argv)
         writeDamaged();
         writeUnusual();
         writeAffine();
+        writeNamedValues();
     } catch (const std::exception& e) {
         std::cerr << "make_fixtures: " << e.what() << "\n";
         return 1;
