@@ -152,7 +152,20 @@ void writeUnusual()
     write("nonfinite.vdb", {makeGrid<PlainP>("points", spoilt, unit())});
 }
 
-// Points far out of their voxels under a general affine map, and where they are in the world, as raw doubles.
+// Where points are in the world, as raw doubles.
+void writePositions(const std::string& name, const PointDataGrid& grid)
+{
+    std::ofstream positions(gFolder + "/" + name, std::ios::binary);
+    for (auto leaf = grid.tree().cbeginLeaf(); leaf; ++leaf) {
+        const points::AttributeHandle<Vec3f> handle(leaf->constAttributeArray("P"));
+        for (auto index = leaf->beginIndexAll(); index; ++index) {
+            const Vec3d world = grid.indexToWorld(index.getCoord().asVec3d() + Vec3d(handle.get(*index)));
+            positions.write(reinterpret_cast<const char*>(world.asV()), 3 * sizeof(double));
+        }
+    }
+}
+
+// Points far out of their voxels under a general affine map.
 void writeAffine()
 {
     std::vector<StoredPoint> stored = cloud(6);
@@ -163,14 +176,7 @@ void writeAffine()
                              5.0, 1.0);
     const auto grid = makeGrid<PlainP>("points", stored, math::Transform::createLinearTransform(matrix));
     write("affine.vdb", {grid});
-    std::ofstream positions(gFolder + "/affine.f64", std::ios::binary);
-    for (auto leaf = grid->tree().cbeginLeaf(); leaf; ++leaf) {
-        const points::AttributeHandle<Vec3f> handle(leaf->constAttributeArray("P"));
-        for (auto index = leaf->beginIndexAll(); index; ++index) {
-            const Vec3d world = matrix.transform(index.getCoord().asVec3d() + Vec3d(handle.get(*index)));
-            positions.write(reinterpret_cast<const char*>(world.asV()), 3 * sizeof(double));
-        }
-    }
+    writePositions("affine.f64", *grid);
 }
 
 // Two grids under two transforms, the first with radii and groups: "pscale" (float) and "mass" (double) are 0.05 times
@@ -200,6 +206,8 @@ void writeNamedValues()
                              0.05, 1.0);
     const auto second = makeGrid<PlainP>("probes", cloud(4), math::Transform::createLinearTransform(matrix));
     write("named_values.vdb", {first, second});
+    writePositions("named_values_points.f64", *first);
+    writePositions("named_values_probes.f64", *second);
 }
 
 } // namespace
