@@ -138,7 +138,7 @@ std::vector<std::vector<std::uint32_t>> searchAll(const SearchClouds& clouds, Ro
                                                   const std::uint32_t* queries, std::size_t count)
 {
     constexpr std::size_t kTile = 4096;
-    const std::size_t size = clouds.candidates.x.size();
+    const std::size_t size = clouds.candidates->x.size();
     std::vector<std::vector<std::uint32_t>> found(count);
     for (std::size_t tile = 0; tile < size; tile += kTile) {
         const std::size_t end = std::min(size, tile + kTile);

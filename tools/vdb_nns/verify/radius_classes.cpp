@@ -8,7 +8,7 @@ namespace vdb_nns::cli {
 
 RadiusClasses::RadiusClasses(const SearchJudge& judge, const SearchClouds& clouds) : mClouds(clouds)
 {
-    const SearchCloud &queries = clouds.queries, &candidates = clouds.candidates;
+    const SearchCloud &queries = *clouds.queries, &candidates = *clouds.candidates;
     if (clouds.largestRadius <= 0 || queries.numbers.empty() || candidates.numbers.empty()) return;
     const auto note = [&](double radius) {
         const unsigned k = classOf(radius);
@@ -31,7 +31,14 @@ RadiusClasses::RadiusClasses(const SearchJudge& judge, const SearchClouds& cloud
             const std::vector<std::uint32_t> others =
                 mCandidateClass.empty() ? candidates.numbers : ofClasses(k, kNone);
             if (const CellHash* const hash = addHash(others, edgeOf(k))) hashes.push_back(hash);
-            addGroup(std::move(members[k]), hashes, edgeOf(k));
+            // All points are both, with radii of one class: the cells of the candidates are those of the queries.
+            const bool isSame = clouds.queries == clouds.candidates && others.size() == members[k].size() &&
+                                hashes.size() == 1;
+            if (isSame) {
+                mGroups.push_back({mHashes.back(), hashes});
+            } else {
+                addGroup(std::move(members[k]), hashes, edgeOf(k));
+            }
         }
         if (mCandidateClass.empty()) continue;
         if (const CellHash* const hash = addHash(ofClasses(k, k), edgeOf(k))) {
@@ -56,7 +63,7 @@ std::vector<std::uint32_t> RadiusClasses::ofClasses(unsigned first, unsigned las
     std::vector<std::uint32_t> numbers;
     for (std::size_t k = 0; k < mCandidateClass.size(); ++k) {
         if (mCandidateClass[k] >= first && mCandidateClass[k] <= last)
-            numbers.push_back(mClouds.candidates.numbers[k]);
+            numbers.push_back(mClouds.candidates->numbers[k]);
     }
     return numbers;
 }
@@ -70,7 +77,7 @@ double RadiusClasses::edgeOf(unsigned radiusClass) const
 void RadiusClasses::addGroup(std::vector<std::uint32_t>&& queries, const HashList& candidates, double edge)
 {
     if (queries.empty() || candidates.empty()) return;
-    const SearchCloud& cloud = mClouds.queries;
+    const SearchCloud& cloud = *mClouds.queries;
     mGroups.push_back(
         {std::make_shared<const CellHash>(cloud.x.data(), cloud.y.data(), cloud.z.data(), queries, edge),
          candidates});
@@ -79,7 +86,7 @@ void RadiusClasses::addGroup(std::vector<std::uint32_t>&& queries, const HashLis
 const CellHash* RadiusClasses::addHash(const std::vector<std::uint32_t>& candidates, double edge)
 {
     if (candidates.empty()) return nullptr;
-    const SearchCloud& cloud = mClouds.candidates;
+    const SearchCloud& cloud = *mClouds.candidates;
     mHashes.push_back(
         std::make_shared<const CellHash>(cloud.x.data(), cloud.y.data(), cloud.z.data(), candidates, edge));
     return mHashes.back().get();

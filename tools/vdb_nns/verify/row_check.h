@@ -2,8 +2,8 @@
 // what is wrong. Knows lists and exact distances, not how the neighbors were found.
 #pragma once
 
+#include "distance_order.h"
 #include "independent_search.h"
-#include "row_order.h"
 #include "search_judge.h"
 
 namespace vdb_nns::cli {
@@ -37,7 +37,7 @@ private:
 
     const ListsFile* mLists;
     const SearchJudge* mJudge;
-    RowOrder mOrder;
+    DistanceOrder mOrder;
     std::size_t mMaxExamples;
     VerifyReport mReport;
     std::vector<std::uint32_t> mExpected, mInOrder; // the row by number; and by distance where rows are

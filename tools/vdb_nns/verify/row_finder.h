@@ -39,6 +39,7 @@ private:
         std::vector<Bounds> bounds;
     };
 
+    const Bounds& boundsOf(std::uint32_t query);
     void gather(const CellHash& hash, const CellKey& cell, Gathered& gathered) const;
     void test(std::uint32_t query, const double* x, const double* y, const double* z, const Bounds* bounds,
               const std::uint32_t* numbers, std::uint32_t firstNumber, std::size_t count,
@@ -48,6 +49,8 @@ private:
     const SearchClouds& mClouds;
     const std::vector<Bounds>& mBounds;
     std::uint64_t mExactPairs = 0;
+    double mRadius = 0; // of the query that was last, and what follows from it
+    Bounds mOwn;
     std::vector<Gathered> mGathered; // of each hash of a list
     std::vector<double> mSquares;
     std::vector<std::uint32_t> mFound;

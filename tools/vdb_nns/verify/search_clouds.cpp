@@ -93,8 +93,8 @@ void scaleBy(int scale, SearchCloud& cloud)
 double largestRadius(const SearchJudge& judge, const SearchClouds& clouds)
 {
     double largest = 0;
-    for (const std::uint32_t i : clouds.queries.numbers) largest = std::max(largest, judge.queryRadius(i));
-    for (const std::uint32_t j : clouds.candidates.numbers)
+    for (const std::uint32_t i : clouds.queries->numbers) largest = std::max(largest, judge.queryRadius(i));
+    for (const std::uint32_t j : clouds.candidates->numbers)
         largest = std::max(largest, judge.candidateRadius(j));
     return largest;
 }
@@ -132,11 +132,15 @@ SearchClouds makeClouds(const SearchJudge& judge)
         candidates.place = worldOffset(judge.candidateMap(), candidates.reference.voxel, origin);
         queries.place = worldOffset(judge.queryMap(), queries.reference.voxel, origin);
     }
-    const double most =
-        std::max(readPositions(
-                     queries, [&](std::size_t i) { return judge.isQuery(i); }, clouds.queries),
-                 readPositions(
-                     candidates, [&](std::size_t j) { return judge.isCandidate(j); }, clouds.candidates));
+    clouds.candidates = std::make_shared<SearchCloud>();
+    double most = readPositions(
+        candidates, [&](std::size_t j) { return judge.isCandidate(j); }, *clouds.candidates);
+    const bool isShared = judge.isOneSet() && terms.queries.chosen.empty() && terms.candidates.chosen.empty();
+    clouds.queries = isShared ? clouds.candidates : std::make_shared<SearchCloud>();
+    if (!isShared) {
+        const auto isQuery = [&](std::size_t i) { return judge.isQuery(i); };
+        most = std::max(most, readPositions(queries, isQuery, *clouds.queries));
+    }
     const double error = 0x1p-50 * most + 0x1p-1068;
     if (!(most < 1e299)) {
         throw InputError("verify: positions are beyond 1e299, too large for the double arithmetic of verify");
@@ -146,8 +150,8 @@ SearchClouds makeClouds(const SearchJudge& judge)
     clouds.scale = -std::ilogb(radius * (1 + 1e-9) + 4 * error);
     clouds.error = std::ldexp(error, clouds.scale);
     clouds.largestRadius = clouds.scaled(radius);
-    scaleBy(clouds.scale, clouds.queries);
-    scaleBy(clouds.scale, clouds.candidates);
+    scaleBy(clouds.scale, *clouds.candidates);
+    if (!isShared) scaleBy(clouds.scale, *clouds.queries);
     return clouds;
 }
 

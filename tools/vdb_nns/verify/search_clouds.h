@@ -5,6 +5,7 @@
 #include "search_judge.h"
 
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 namespace vdb_nns::cli {
@@ -22,11 +23,11 @@ struct Bounds {
 };
 
 struct SearchClouds {
-    SearchCloud queries, candidates;
-    double error = 0;         // each coordinate is within this of the true one
-    double largestRadius = 0; // 0: nobody reaches anybody
-    double cap = 0;           // world units: no two points are as far apart
-    int scale = 0;            // a length in world units times 2^scale is one of the cloud
+    std::shared_ptr<SearchCloud> queries, candidates; // one where all have both roles
+    double error = 0;                                 // each coordinate is within this of the true one
+    double largestRadius = 0;                         // 0: nobody reaches anybody
+    double cap = 0;                                   // world units: no two points are as far apart
+    int scale = 0; // a length in world units times 2^scale is one of the cloud
 
     // A radius of any size in units of the cloud; one beyond the cap decides as the cap does. 0 for those that reach nobody.
     double scaled(double radius) const;

@@ -10,9 +10,9 @@
 namespace vdb_nns::cli {
 
 // Keeps its buffers from row to row; one a thread.
-class RowOrder {
+class DistanceOrder {
 public:
-    explicit RowOrder(const SearchJudge& judge) : mJudge(&judge) {}
+    explicit DistanceOrder(const SearchJudge& judge) : mJudge(&judge) {}
 
     // Keeps the nearest `count` of a row of finite candidates, ascending by number.
     void keepNearest(std::uint32_t query, std::uint64_t count, std::vector<std::uint32_t>& row);

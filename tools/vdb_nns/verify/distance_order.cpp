@@ -1,11 +1,11 @@
-#include "row_order.h"
+#include "distance_order.h"
 
 #include <algorithm>
 #include <numeric>
 
 namespace vdb_nns::cli {
 
-void RowOrder::keepNearest(std::uint32_t query, std::uint64_t count, std::vector<std::uint32_t>& row)
+void DistanceOrder::keepNearest(std::uint32_t query, std::uint64_t count, std::vector<std::uint32_t>& row)
 {
     if (row.size() <= count) return;
     load(query, row);
@@ -17,7 +17,7 @@ void RowOrder::keepNearest(std::uint32_t query, std::uint64_t count, std::vector
     std::sort(row.begin(), row.end());
 }
 
-void RowOrder::sort(std::uint32_t query, std::vector<std::uint32_t>& row)
+void DistanceOrder::sort(std::uint32_t query, std::vector<std::uint32_t>& row)
 {
     if (row.size() < 2) return;
     load(query, row);
@@ -27,7 +27,7 @@ void RowOrder::sort(std::uint32_t query, std::vector<std::uint32_t>& row)
     for (const std::size_t place : mPlaces) row.push_back(mEntries[place].number);
 }
 
-void RowOrder::load(std::uint32_t query, const std::vector<std::uint32_t>& row)
+void DistanceOrder::load(std::uint32_t query, const std::vector<std::uint32_t>& row)
 {
     mEntries.clear();
     for (const std::uint32_t number : row) mEntries.push_back({number, mJudge->distance(query, number), {}});
@@ -35,7 +35,7 @@ void RowOrder::load(std::uint32_t query, const std::vector<std::uint32_t>& row)
     std::iota(mPlaces.begin(), mPlaces.end(), std::size_t(0));
 }
 
-bool RowOrder::isNearer(std::uint32_t query, std::size_t a, std::size_t b)
+bool DistanceOrder::isNearer(std::uint32_t query, std::size_t a, std::size_t b)
 {
     Entry &one = mEntries[a], &other = mEntries[b];
     if (one.distance.high < other.distance.low) return true;
@@ -44,7 +44,7 @@ bool RowOrder::isNearer(std::uint32_t query, std::size_t a, std::size_t b)
     return sign != 0 ? sign < 0 : one.number < other.number;
 }
 
-const Dyadic& RowOrder::squareOf(std::uint32_t query, Entry& entry)
+const Dyadic& DistanceOrder::squareOf(std::uint32_t query, Entry& entry)
 {
     if (!entry.square) entry.square = mJudge->squaredDistance(query, entry.number);
     return *entry.square;
