@@ -1,4 +1,6 @@
 """Other queries, groups, radii of points, the nearest K, order, self: what verify passes and finds, and every refusal."""
+import os
+import re
 import zipfile
 
 import numpy as np
@@ -223,6 +225,24 @@ class Queries(CliCase):
                 self.fails(2, "verify", self.path("missing.npy"), lists, *args, says=says)
         self.fails(2, "verify", self.vdb, lists, "-g", "points", "--queries-grid", "probes", "--include-self", "-r", "1",
                    says="--include-self and --queries-grid do not go together")
+
+    def test_the_table_of_refused_flags(self):
+        """docs/cli.md says which flags do not go together: each row is refused, and says so with these flags."""
+        with open(os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "docs", "cli.md")) as file:
+            table = re.search(r"<!-- refused flags -->(.*?)<!-- end", file.read(), re.S).group(1)
+        values = {"-r": "0.1", "--radius-attribute": "mass", "--radius-file": self.radius_file, "--queries": self.vdb,
+                  "--queries-radius-file": self.queries_radius_file, "--radius-scale": "2", "--radius-mode": "gather",
+                  "--queries-grid": "probes"}
+        rows = [line.split("|")[1:3] for line in table.strip().splitlines()[2:]]
+        self.assertGreater(len(rows), 10)
+        for flags, why in rows:
+            words = [flag.split() for flag in re.findall(r"`([^`]+)`", flags)]
+            args = [word for flag in words for word in (*flag, *([values[flag[0]]] if flag[0] in values and len(flag) == 1 else []))]
+            missing = re.search(r"`(--[a-z-]+)` is missing", why)
+            with self.subTest(args):
+                done = self.fails(2, "verify", self.path("missing.vdb"), self.path("lists.npz"), *args)
+                says = [missing.group(1) + " is missing"] if missing else [flag[0] for flag in words]
+                self.assertTrue(any(name in done.err for name in says), done.err)
 
     def test_names_that_are_not_there(self):
         lists = self.lists(rows_of(self.points, self.points, 0.1)[0], 300)
