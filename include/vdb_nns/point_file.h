@@ -50,7 +50,8 @@ struct PointFileOptions {
 
     /// Bytes that reading may take; 0: what is free (availableMemoryBytes()). Checked against it before the
     /// points are read: of a .vdb what the points of the chosen grid take, 14 bytes each and 20 a leaf; of other
-    /// files their size, and of a text its positions too.
+    /// files their size, and of a text its positions too. readScalars() and readGroups() of the file may take as much
+    /// again, each.
     std::uint64_t hostMemoryBytes = 0;
 
     /// Receives progress and may cancel; may be null.

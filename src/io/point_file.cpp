@@ -31,7 +31,8 @@ struct PointFile::Data {
     ParticleView view;          // keeps the memory of array files
     PointFileInfo info;         // all but the pass over the positions
     std::uint64_t fileBytes = 0;
-    std::mutex mutex; // of what follows
+    std::uint64_t hostMemoryBytes = 0; // PointFileOptions::hostMemoryBytes
+    std::mutex mutex;                  // of what follows
     std::optional<PointFileInfo> fullInfo;
 };
 
@@ -223,6 +224,12 @@ void measure(const ParticleSource& source, PointFileInfo& info)
     info.transform[3] = {0, 0, 0, 1};
 }
 
+// `bytes` as PointFileOptions::hostMemoryBytes has it.
+std::uint64_t allowedMemory(std::uint64_t bytes)
+{
+    return bytes ? bytes : availableMemoryBytes();
+}
+
 [[noreturn]] void failChanged(const std::string& path, const std::string& how)
 {
     throw InputError(path + ": has changed since its points were read: " + how +
@@ -273,8 +280,8 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
     checkChoice(path, array, options);
     const InputFile file(path);
     data.fileBytes = file.size();
-    const std::uint64_t allowedBytes =
-        options.hostMemoryBytes ? options.hostMemoryBytes : availableMemoryBytes();
+    data.hostMemoryBytes = options.hostMemoryBytes;
+    const std::uint64_t allowedBytes = allowedMemory(options.hostMemoryBytes);
     const auto readFile = [&] {
         const CancelCheck cancel(options.progress, "read");
         if (!array) {
@@ -337,7 +344,7 @@ std::vector<double> PointFile::readScalars(const std::string& name, Progress* pr
         const CancelCheck cancel(progress, "read");
         const InputFile file(path);
         checkUnchanged(file, data.fileBytes);
-        const std::uint64_t allowedBytes = availableMemoryBytes();
+        const std::uint64_t allowedBytes = allowedMemory(data.hostMemoryBytes);
         if (data.vdb) return data.vdb->readScalars(file, name, allowedBytes, cancel);
         std::vector<double> values = parseValues(file, allowedBytes, cancel, [&](const ArrayFile& array) {
             return parsePlyProperty(array, name);
@@ -361,7 +368,7 @@ std::vector<std::uint8_t> PointFile::readGroups(const std::string& list, Progres
         const CancelCheck cancel(progress, "read");
         const InputFile file(data.info.path);
         checkUnchanged(file, data.fileBytes);
-        return data.vdb->readGroups(file, list, availableMemoryBytes(), cancel);
+        return data.vdb->readGroups(file, list, allowedMemory(data.hostMemoryBytes), cancel);
     });
 }
 

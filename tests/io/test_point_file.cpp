@@ -535,6 +535,21 @@ TEST_F(PointFileTest, readsScalarsOfAVdb)
     }
 }
 
+TEST_F(PointFileTest, namedValuesKeepToTheMemoryAllowed)
+{
+    const PointDataGrid::Ptr grid = makeGrid<Fixed16>(5000);
+    appendNumbers<float>(*grid, "pscale");
+    appendGroup(*grid, "fluid", 2);
+    PointFileOptions options;
+    options.hostMemoryBytes = 79999; // 14 bytes a point fit, 16 do not
+    const std::string name = writeFile("a.vdb", {grid}, 0);
+    const PointFile file = PointFile::read(name, options);
+    EXPECT_THROW(file.readScalars("pscale"), CapacityError);
+    EXPECT_EQ(file.readGroups("fluid").size(), 5000u);
+    options.hostMemoryBytes = 80000;
+    EXPECT_EQ(PointFile::read(name, options).readScalars("pscale").size(), 5000u);
+}
+
 TEST_F(PointFileTest, noticesAFileThatHasChanged)
 {
     const PointDataGrid::Ptr grid = makeGrid<Fixed16>(5000), fewer = makeGrid<Fixed16>(4999);
