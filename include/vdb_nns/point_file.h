@@ -18,9 +18,10 @@ namespace vdb_nns {
 class SearchEngine;
 
 struct AttributeInfo {
-    std::string name;  ///< e.g. "P"
-    std::string type;  ///< OpenVDB's value type name, e.g. "vec3s"
-    std::string codec; ///< "null", "trnc", "fxpt16", "fxpt8", ...
+    std::string name; ///< e.g. "P"
+    std::string
+        type; ///< as the file has it: OpenVDB's value type name, e.g. "vec3s"; of a .ply "float", "list uchar int"
+    std::string codec; ///< of a .vdb: "null", "trnc", "fxpt16", "fxpt8", ...
 };
 
 /// What a point file says about itself. Values that a format does not have are empty.
@@ -34,7 +35,8 @@ struct PointFileInfo {
     std::string codec;                        ///< codec of P; for arrays "float32" or "float64"
     Matrix4 transform{};                      ///< index to world, column vectors; identity for arrays
     std::optional<std::array<Vec3d, 2>> bbox; ///< world units, of the finite points; empty if there are none
-    std::vector<AttributeInfo> attributes;
+    std::vector<AttributeInfo> attributes;    ///< of a .vdb; of a .ply the properties of element `vertex`
+    std::vector<std::string> groups;          ///< names of the point groups of a .vdb, sorted
     /// Where a file leaves a choice, what was taken as the positions: "columns 1, 2 and 3 of 6", "array 'positions'".
     std::string taken;
     /// What a person should look at: sentences without the file's name.
@@ -48,7 +50,8 @@ struct PointFileOptions {
 
     /// Bytes that reading may take; 0: what is free (availableMemoryBytes()). Checked against it before the
     /// points are read: of a .vdb what the points of the chosen grid take, 14 bytes each and 20 a leaf; of other
-    /// files their size, and of a text its positions too.
+    /// files their size, and of a text its positions too. readScalars() and readGroups() of the file may take as much
+    /// again, each.
     std::uint64_t hostMemoryBytes = 0;
 
     /// Receives progress and may cancel; may be null.
@@ -86,6 +89,29 @@ public:
     /// for bbox and nonfinite, and so does each thread that calls it meanwhile.
     const PointFileInfo& info() const;
 
+    /// One value of each point, in the order of their numbers: a float or double attribute of a .vdb, or a property of
+    /// element `vertex` of a .ply, of any type of number. All are exact as doubles. Points of a leaf that lacks an
+    /// attribute which others have get 0.
+    /// Cost: reads that part of the file again (of a .ply all of it). Memory: the result, and as much again of a .vdb, or
+    /// the file of a .ply.
+    /// @throws InvalidInput if the file has no attribute or property of that name (the message lists those that it has), and
+    ///         for formats without named values
+    /// @throws InputError if it is not one real number a point (vectors, integers, texts and groups of a .vdb, lists of a
+    ///         .ply), and if the file is not readable any more or has changed since it was read
+    /// @throws CapacityError, Cancelled
+    std::vector<double> readScalars(const std::string& name, Progress* progress = nullptr) const;
+
+    /// Which points are in some point groups of a .vdb: 1 or 0 of each, in the order of their numbers.
+    /// @param list names with commas between: the points of any of them (of all points if there is none) but for those of
+    ///        any group whose name stands behind a `^`, in any order: "fluid,spray,^boundary". Blanks around names do not
+    ///        count.
+    /// Cost: reads those groups from the file. Memory: the result, and as much again for each eight groups.
+    /// @throws InvalidInput for an empty name, a group that the file does not have (the message lists those that it has), and
+    ///         for other formats
+    /// @throws InputError if the file is not readable any more or has changed since it was read
+    /// @throws CapacityError, Cancelled
+    std::vector<std::uint8_t> readGroups(const std::string& list, Progress* progress = nullptr) const;
+
     /// Writes the same .vdb file with result attributes added. Other grids and the file's metadata are
     /// copied; name, transform, metadata, codecs and attributes stay untouched; P is not encoded again.
     /// Memory: the attribute. If several calls run at once, all but one read the grid from the file again and
@@ -102,6 +128,13 @@ public:
 private:
     std::shared_ptr<Data> mData;
 };
+
+/// Reads one number a particle from an .npy file of shape (N,) or (N, 1) with floats of 4 or 8 bytes: radii.
+/// @param count of particles, which N has to be.
+/// @throws InputError for another shape, type or length, and if the file is missing, unreadable or damaged
+/// @throws CapacityError, Cancelled
+std::vector<double> readRadiusFile(const std::string& path, std::uint64_t count,
+                                   Progress* progress = nullptr);
 
 /// What the `data` array of a written list holds.
 enum class ListValues {

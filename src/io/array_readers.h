@@ -47,9 +47,16 @@ struct ArrayFile {
     const CancelCheck& cancel;
 };
 
+// A named value of each point, beside its position.
+struct NamedValue {
+    std::string name, type; // type: in the words of the file
+};
+
 // What a reader found.
 struct ReadArray {
     PositionArray positions;
+    std::vector<NamedValue>
+        properties; // of a point, in the order of the file, x, y and z among them; of a .ply
     // Where they come from, for people: "columns 0, 1 and 2 of 6", "fields x, y and z", "array 'positions'". Empty where the
     // file leaves no choice.
     std::string taken;
@@ -72,10 +79,18 @@ bool parseNpy(const ArrayFile& file, NpyLayout& layout, ReadArray& result);
 // A ZIP of .npy files, stored or deflated, as numpy.savez and numpy.savez_compressed write it.
 ReadArray parseNpz(const ArrayFile& file);
 
+// The values of an .npy of shape (N,) or (N, 1) with floats of 4 or 8 bytes, of either endianness. Throws InputError for
+// others, and for another N than `count`.
+std::vector<double> parseNpyValues(const ArrayFile& file, std::uint64_t count);
+
 // The Stanford polygon format: ascii, binary little-endian or big-endian; x y z of element `vertex` of any type of number.
 // Other elements and properties, lists too, are walked over; behind whole vertices they may be damaged, and a note
 // says so. http://paulbourke.net/dataformats/ply/
 ReadArray parsePly(const ArrayFile& file);
+
+// The values of one property of element `vertex`, of any type of number, each exactly as a double. Throws InvalidInput for
+// a property that is not there, InputError for one that is a list or there twice, and where parsePly() does.
+std::vector<double> parsePlyProperty(const ArrayFile& file, const std::string& name);
 
 // Text: the grammar stands beside the code.
 ReadArray parseText(const ArrayFile& file);

@@ -25,8 +25,11 @@ struct FixedRows {
 // Throws InputError where an integer is beyond 2^53, CapacityError where they do not fit.
 PositionArray readFixedRows(const ArrayFile& file, const FixedRows& rows);
 
+// One column as doubles: a real, or an integer of at most 32 bits.
+std::vector<double> readFixedColumn(const ArrayFile& file, const FixedRows& rows, const FixedColumn& column);
+
 // Throws InputError unless that many points can be numbered, CapacityError unless they fit the memory
-// allowed.
-void checkPointCount(const ArrayFile& file, std::uint64_t count, bool isDouble);
+// allowed, with so many numbers each.
+void checkPointCount(const ArrayFile& file, std::uint64_t count, bool isDouble, std::size_t width = 3);
 
 } // namespace vdb_nns

@@ -15,6 +15,7 @@ namespace {
 
 // Rows that a task converts.
 constexpr std::size_t kTaskRows = std::size_t(1) << 16;
+
 std::string shapeText(const std::vector<std::uint64_t>& shape)
 {
     std::string text = "(";
@@ -305,6 +306,41 @@ bool parseNpy(const ArrayFile& file, NpyLayout& layout, ReadArray& result)
         convert(file, places, values, result.positions.doubles);
     }
     return false;
+}
+
+std::vector<double> parseNpyValues(const ArrayFile& file, std::uint64_t count)
+{
+    const NpyHeader header = readHeader(file.path, file.bytes);
+    const NpyType& type = header.type;
+    const std::vector<std::uint64_t>& shape = header.shape;
+    const std::string expected = "; expected are " + std::to_string(count) +
+                                 " floats of 4 or 8 bytes, shape (" + std::to_string(count) +
+                                 ",), one for each point";
+    if (header.isStructured() || !type.isFloat() || type.bytes < 4) {
+        throw InputError(file.path + ": holds " +
+                         (header.isStructured() ? "records" : "the dtype '" + shownText(header.descr) + "'") +
+                         expected);
+    }
+    const bool isList = shape.size() == 1 || (shape.size() == 2 && shape[1] == 1);
+    if (!isList) throw InputError(file.path + ": has the shape " + shapeText(shape) + expected);
+    checkSize(file.path, header, file.bytes.size() - header.dataOffset);
+    if (shape[0] != count) {
+        throw InputError(file.path + ": has " + std::to_string(shape[0]) + " values, shape " +
+                         shapeText(shape) + expected);
+    }
+    checkPointsFit(file.path, count * sizeof(double), file.allowedBytes);
+    std::vector<double> values(static_cast<std::size_t>(count));
+    const unsigned char* const first = file.bytes.data() + header.dataOffset;
+    const bool isBig = type.isBigEndian();
+    tbb::parallel_for(std::size_t(0), (values.size() + kTaskRows - 1) / kTaskRows, [&](std::size_t task) {
+        file.cancel.check();
+        const std::size_t end = std::min(values.size(), (task + 1) * kTaskRows);
+        for (std::size_t i = task * kTaskRows; i < end; ++i) {
+            values[i] = type.bytes == 4 ? double(loadNumber<float>(first + 4 * i, isBig))
+                                        : loadNumber<double>(first + 8 * i, isBig);
+        }
+    });
+    return values;
 }
 
 } // namespace vdb_nns

@@ -141,10 +141,15 @@ public:
         if (!mVertex.hasLists()) {
             walk.next += static_cast<std::size_t>(mVertex.count * rowBytes);
             checkLaterElements(walk.next, begin, result);
-            result.positions = readFixedRows(mFile, fixedRows(begin, static_cast<std::size_t>(rowBytes)));
+            const FixedRows rows = fixedRows(begin, static_cast<std::size_t>(rowBytes));
+            if (mBody.width() == 1) {
+                result.positions.doubles = readFixedColumn(mFile, rows, rows.columns[0]);
+            } else {
+                result.positions = readFixedRows(mFile, rows);
+            }
             return result;
         }
-        checkPointCount(mFile, mVertex.count, mBody.isDouble);
+        checkPointCount(mFile, mVertex.count, mBody.isDouble, mBody.width());
         if (mBody.isDouble) {
             readRows(walk, result.positions.doubles);
         } else {
@@ -162,10 +167,10 @@ private:
                        static_cast<std::size_t>(mVertex.count),
                        {},
                        mBody.header.format == PlyFormat::kBigEndian};
-        for (std::size_t k = 0; k < 3; ++k) {
+        for (std::size_t k = 0; k < mBody.width(); ++k) {
             for (std::size_t i = 0; i < mBody.property[k]; ++i)
                 rows.columns[k].offset += sizeOf(mVertex.properties[i].type);
-            rows.columns[k].type = mBody.coordinate(k).type;
+            rows.columns[k].type = mBody.read(k).type;
         }
         return rows;
     }
@@ -173,15 +178,16 @@ private:
     template <typename Real>
     void readRows(RowWalk& walk, std::vector<Real>& out) const
     {
-        std::vector<std::size_t> coordinate(mVertex.properties.size(), 3); // 3: none
-        for (std::size_t k = 0; k < 3; ++k) coordinate[mBody.property[k]] = k;
-        out.resize(static_cast<std::size_t>(mVertex.count) * 3);
+        const std::size_t width = mBody.width();
+        std::vector<std::size_t> placeOf(mVertex.properties.size(), width); // width: none
+        for (std::size_t k = 0; k < width; ++k) placeOf[mBody.property[k]] = k;
+        out.resize(static_cast<std::size_t>(mVertex.count) * width);
         for (std::size_t row = 0; row < mVertex.count; ++row) {
             if (row % 65536 == 0) mFile.cancel.check();
-            for (std::size_t i = 0; i < coordinate.size(); ++i) {
+            for (std::size_t i = 0; i < placeOf.size(); ++i) {
                 const PlyProperty& property = mVertex.properties[i];
-                const bool isThere = coordinate[i] < 3
-                                         ? walk.readValue(property.type, out[3 * row + coordinate[i]])
+                const bool isThere = placeOf[i] < width
+                                         ? walk.readValue(property.type, out[width * row + placeOf[i]])
                                          : walk.skipProperty(property);
                 if (!isThere) failAt(mFile.path, walk.next, walk.what);
             }

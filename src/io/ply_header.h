@@ -36,6 +36,7 @@ struct PlyProperty {
     NumberType type; // of the value, or of a list's values
     bool isList = false;
     NumberType countType = NumberType::kUInt8; // of a list's length
+    std::string declared;                      // type as the header has it: "float", "list uchar int"
 };
 
 struct PlyElement {
@@ -187,6 +188,8 @@ private:
             fail("expected 'property TYPE NAME' or 'property list TYPE TYPE NAME'");
         }
         property.name = mWords.back();
+        for (std::size_t i = 1; i + 1 < mWords.size(); ++i)
+            property.declared += (i > 1 ? " " : "") + std::string(mWords[i]);
         mHeader.elements.back().properties.push_back(std::move(property));
     }
 

@@ -79,9 +79,10 @@ public:
           mFileBegin(reinterpret_cast<const char*>(body.file.bytes.data())),
           mEnd(mFileBegin + body.file.bytes.size()),
           mLineEnd(body.header.lineEnd),
-          mCoordinate(body.vertexElement().properties.size(), 3)
+          mWidth(body.width()),
+          mPlaceOf(body.vertexElement().properties.size(), body.width())
     {
-        for (std::size_t k = 0; k < 3; ++k) mCoordinate[body.property[k]] = k;
+        for (std::size_t k = 0; k < mWidth; ++k) mPlaceOf[body.property[k]] = k;
     }
 
     ReadArray read()
@@ -99,7 +100,7 @@ public:
             lines += chunk.lines;
         }
         layOutRows(lines);
-        checkPointCount(mFile, vertex().count, mBody.isDouble);
+        checkPointCount(mFile, vertex().count, mBody.isDouble, mWidth);
         ReadArray result;
         if (mBody.isDouble) {
             readRows(result.positions.doubles);
@@ -189,7 +190,7 @@ private:
     template <typename Real>
     void readRows(std::vector<Real>& out)
     {
-        resizeOnHugePages(out, static_cast<std::size_t>(vertex().count) * 3);
+        resizeOnHugePages(out, static_cast<std::size_t>(vertex().count) * mWidth);
         forEachChunk([&](Chunk& chunk) { readChunk(chunk, out.data()); });
         for (const Chunk& chunk : mChunks) {
             if (chunk.fault) failAtLine(chunk.fault->line, chunk.fault->what);
@@ -213,10 +214,10 @@ private:
             const bool isVertex = element == mBody.vertex;
             std::optional<Fault> fault;
             if (isVertex && !vertex().hasLists()) {
-                readVertex(first, end, out + 3 * (row - firstVertex), fault);
+                readVertex(first, end, out + mWidth * (row - firstVertex), fault);
             } else {
                 readRow(mBody.header.elements[element], first, end,
-                        isVertex ? out + 3 * (row - firstVertex) : nullptr, fault);
+                        isVertex ? out + mWidth * (row - firstVertex) : nullptr, fault);
             }
             ++row;
             if (!fault) return true;
@@ -229,15 +230,15 @@ private:
         });
     }
 
-    // A row without lists. Values that are no coordinates are counted and not looked at.
+    // A row without lists. Values that are not wanted are counted and not looked at.
     template <typename Real>
     void readVertex(const char* const first, const char* end, Real* out, std::optional<Fault>& fault) const
     {
         const char* next = first;
-        for (std::size_t i = 0; i < mCoordinate.size(); ++i) {
+        for (std::size_t i = 0; i < mPlaceOf.size(); ++i) {
             if (next == end) return setWidthFault(vertex(), first, end, nullptr, fault);
-            if (mCoordinate[i] < 3) {
-                if (!readCoordinate(first, next, end, i, out, fault)) return;
+            if (mPlaceOf[i] < mWidth) {
+                if (!readWanted(first, next, end, i, out, fault)) return;
             } else {
                 next = skipValue(next, end);
             }
@@ -247,15 +248,15 @@ private:
     }
 
     template <typename Real>
-    bool readCoordinate(const char* first, const char*& next, const char* end, std::size_t property,
-                        Real* out, std::optional<Fault>& fault) const
+    bool readWanted(const char* first, const char*& next, const char* end, std::size_t property, Real* out,
+                    std::optional<Fault>& fault) const
     {
         const PlyProperty& p = vertex().properties[property];
-        const char* const what = readTextNumber(p.type, next, end, out[mCoordinate[property]]);
+        const char* const what = readTextNumber(p.type, next, end, out[mPlaceOf[property]]);
         if (!what) return true;
-        fault =
-            Fault{first, ": " + quoted(next, skipValue(next, end)) + " " + what + "; expected property " +
-                             p.name + " of element 'vertex', a number of the type that the header declares"};
+        fault = Fault{first, ": " + quoted(next, skipValue(next, end)) + " " + what + "; expected property " +
+                                 shownText(p.name) +
+                                 " of element 'vertex', a number of the type that the header declares"};
         return false;
     }
 
@@ -278,8 +279,8 @@ private:
                     return;
                 }
                 next = skipBlanks(next, end);
-            } else if (out && mCoordinate[i] < 3) {
-                if (!readCoordinate(first, next, end, i, out, fault)) return;
+            } else if (out && mPlaceOf[i] < mWidth) {
+                if (!readWanted(first, next, end, i, out, fault)) return;
                 next = skipBlanks(next, end);
                 continue;
             }
@@ -439,7 +440,8 @@ private:
     const char* const mFileBegin;
     const char* const mEnd;
     const char mLineEnd;
-    std::vector<std::size_t> mCoordinate; // which one a property of the vertex is; 3 for none
+    const std::size_t mWidth;             // numbers that are read of a vertex
+    std::vector<std::size_t> mPlaceOf;    // among them, of each property of a vertex; mWidth for none
     std::vector<std::uint64_t> mFirstRow; // of each element, and behind all
     bool mIsCut = false;                  // rows behind the vertices are missing
     std::vector<Chunk> mChunks;

@@ -30,7 +30,9 @@ struct PointFile::Data {
     std::optional<VdbFile> vdb; // none for array files
     ParticleView view;          // keeps the memory of array files
     PointFileInfo info;         // all but the pass over the positions
-    std::mutex mutex;           // of what follows
+    std::uint64_t fileBytes = 0;
+    std::uint64_t hostMemoryBytes = 0; // PointFileOptions::hostMemoryBytes
+    std::mutex mutex;                  // of what follows
     std::optional<PointFileInfo> fullInfo;
 };
 
@@ -151,6 +153,8 @@ ParticleView readArray(const InputFile& file, const ArrayFormat& format, const A
     info.codec = isDouble ? "float64" : "float32";
     info.taken = std::move(found.taken);
     info.notes = std::move(found.notes);
+    for (NamedValue& property : found.properties)
+        info.attributes.push_back({std::move(property.name), std::move(property.type), {}});
     // Copies of the view keep the storage.
     return ParticleView(std::shared_ptr<const ParticleSource>(storage, &data.view.source()));
 }
@@ -220,6 +224,41 @@ void measure(const ParticleSource& source, PointFileInfo& info)
     info.transform[3] = {0, 0, 0, 1};
 }
 
+// `bytes` as PointFileOptions::hostMemoryBytes has it.
+std::uint64_t allowedMemory(std::uint64_t bytes)
+{
+    return bytes ? bytes : availableMemoryBytes();
+}
+
+[[noreturn]] void failChanged(const std::string& path, const std::string& how)
+{
+    throw InputError(path + ": has changed since its points were read: " + how +
+                     "; start again once nobody writes it any more");
+}
+
+// As far as its size says.
+void checkUnchanged(const InputFile& file, std::uint64_t bytes)
+{
+    if (file.size() == bytes) return;
+    failChanged(file.name(),
+                "it had " + std::to_string(bytes) + " bytes and has " + std::to_string(file.size()));
+}
+
+// parse(ArrayFile) of a whole file.
+template <typename Parse>
+std::vector<double> parseValues(const InputFile& file, std::uint64_t allowedBytes, const CancelCheck& cancel,
+                                const Parse& parse)
+{
+    cancel.update(0);
+    checkPointsFit(file.name(), file.size(), allowedBytes);
+    const PageBlock block = readBytes(file, cancel);
+    const FileBytes bytes(static_cast<const unsigned char*>(block.data()),
+                          static_cast<std::size_t>(file.size()));
+    std::vector<double> values = parse(ArrayFile{file.name(), bytes, {}, allowedBytes - file.size(), cancel});
+    cancel.update(1);
+    return values;
+}
+
 } // namespace
 
 PointFile PointFile::read(const std::string& path, const PointFileOptions& options)
@@ -240,8 +279,9 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
     }
     checkChoice(path, array, options);
     const InputFile file(path);
-    const std::uint64_t allowedBytes =
-        options.hostMemoryBytes ? options.hostMemoryBytes : availableMemoryBytes();
+    data.fileBytes = file.size();
+    data.hostMemoryBytes = options.hostMemoryBytes;
+    const std::uint64_t allowedBytes = allowedMemory(options.hostMemoryBytes);
     const auto readFile = [&] {
         const CancelCheck cancel(options.progress, "read");
         if (!array) {
@@ -289,6 +329,56 @@ const PointFileInfo& PointFile::info() const
     const std::lock_guard<std::mutex> lock(data.mutex);
     if (!data.fullInfo) data.fullInfo = std::move(info);
     return *data.fullInfo;
+}
+
+std::vector<double> PointFile::readScalars(const std::string& name, Progress* progress) const
+{
+    const Data& data = *mData;
+    const std::string& path = data.info.path;
+    if (!data.vdb && data.info.format != "ply") {
+        throw InvalidInput(path + ": a ." + data.info.format +
+                           " file has no named values; a .vdb has attributes and a .ply properties; give "
+                           "radii of other points as an .npy file (--radius-file)");
+    }
+    return isolated([&] {
+        const CancelCheck cancel(progress, "read");
+        const InputFile file(path);
+        checkUnchanged(file, data.fileBytes);
+        const std::uint64_t allowedBytes = allowedMemory(data.hostMemoryBytes);
+        if (data.vdb) return data.vdb->readScalars(file, name, allowedBytes, cancel);
+        std::vector<double> values = parseValues(file, allowedBytes, cancel, [&](const ArrayFile& array) {
+            return parsePlyProperty(array, name);
+        });
+        if (values.size() != data.view.size()) {
+            failChanged(path, "it had " + std::to_string(data.view.size()) + " vertices and has " +
+                                  std::to_string(values.size()));
+        }
+        return values;
+    });
+}
+
+std::vector<std::uint8_t> PointFile::readGroups(const std::string& list, Progress* progress) const
+{
+    const Data& data = *mData;
+    if (!data.vdb) {
+        throw InvalidInput(data.info.path + ": a ." + data.info.format +
+                           " file has no point groups; only those of a .vdb file are read");
+    }
+    return isolated([&] {
+        const CancelCheck cancel(progress, "read");
+        const InputFile file(data.info.path);
+        checkUnchanged(file, data.fileBytes);
+        return data.vdb->readGroups(file, list, allowedMemory(data.hostMemoryBytes), cancel);
+    });
+}
+
+std::vector<double> readRadiusFile(const std::string& path, std::uint64_t count, Progress* progress)
+{
+    return isolated([&] {
+        const CancelCheck cancel(progress, "read");
+        return parseValues(InputFile(path), availableMemoryBytes(), cancel,
+                           [&](const ArrayFile& array) { return parseNpyValues(array, count); });
+    });
 }
 
 void PointFile::writeVdb(const std::string& path, Span<const std::uint32_t> counts, const std::string& prefix,

@@ -10,6 +10,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <string>
+#include <vector>
 
 namespace vdb_nns {
 
@@ -25,8 +26,20 @@ public:
     // Of the file.
     std::size_t chosenGrid() const { return mChosen; }
 
+    // As PointFile::readScalars() and readGroups(). `file` is the one that was read, opened again.
+    std::vector<double> readScalars(const ByteSource& file, const std::string& name,
+                                    std::uint64_t allowedBytes, const CancelCheck& cancel) const;
+    std::vector<std::uint8_t> readGroups(const ByteSource& file, const std::string& list,
+                                         std::uint64_t allowedBytes, const CancelCheck& cancel) const;
+
 private:
+    struct Reopened;
+
+    // Throws InputError where the chosen grid does not have the leaves that were read.
+    Reopened reopen(const ByteSource& file, const CancelCheck& cancel) const;
+
     std::size_t mChosen = 0;
+    std::string mGridName; // unique in the file
     ParticleView mView;
 };
 

@@ -3,6 +3,14 @@
 
 extern "C" int LLVMFuzzerTestOneInput(const unsigned char* data, std::size_t size)
 {
+    vdb_nns::readFuzzed(data, size, [](const vdb_nns::ArrayFile& file) {
+        for (std::uint64_t count = 0; count < 8; ++count) {
+            try {
+                vdb_nns::parseNpyValues(file, count);
+            } catch (const vdb_nns::InputError&) { // of another length
+            }
+        }
+    });
     return vdb_nns::readFuzzed(data, size, [](const vdb_nns::ArrayFile& file) {
         vdb_nns::NpyLayout layout;
         vdb_nns::ReadArray result;

@@ -150,11 +150,30 @@ void readGrid(const ByteSource& file, const VdbDirectory& directory, const VdbEn
     checkPoints(part);
 }
 
+void readNamedValues(const ByteSource& file, const VdbFile& vdb, const PointFileInfo& info,
+                     std::uint64_t allowedBytes)
+{
+    const std::size_t points = vdb.view().size();
+    for (std::size_t i = 0; i < info.attributes.size() && i < 8; ++i) {
+        try {
+            require(vdb.readScalars(file, info.attributes[i].name, allowedBytes, kNoCancel).size() == points,
+                    "a scalar for each point");
+        } catch (const InputError&) { // is of another type
+        }
+    }
+    for (std::size_t i = 0; i < info.groups.size() && i < 8; ++i) {
+        if (info.groups[i].find_first_of(", \t^") != std::string::npos || info.groups[i].empty()) continue;
+        require(vdb.readGroups(file, "^" + info.groups[i], allowedBytes, kNoCancel).size() == points,
+                "a choice for each point");
+    }
+}
+
 void readFile(const ByteSource& file, std::uint64_t allowedBytes)
 {
     try {
         PointFileInfo info;
-        VdbFile(file, "", allowedBytes, kNoCancel, info);
+        const VdbFile vdb(file, "", allowedBytes, kNoCancel, info);
+        readNamedValues(file, vdb, info, allowedBytes);
     } catch (const Error&) {
     }
     try {

@@ -218,6 +218,37 @@ TEST(NpyReader, refusesLies)
     EXPECT_ERROR(parsedNpy("PK\x03\x04 this is an npz"), "is not an .npy file");
 }
 
+TEST(NpyReader, readsOneValueAPoint)
+{
+    const auto read = [](const std::string& file, std::uint64_t count) {
+        return readAs("r.npy", bytesOf(file),
+                      [&](const ArrayFile& array) { return parseNpyValues(array, count); });
+    };
+    for (const bool isBig : {false, true}) {
+        const std::string order = isBig ? ">" : "<";
+        EXPECT_EQ(read(npy(npyDictionary(order + "f4", "(2,)"), rawValues<float>({0.1f, -3}, isBig)), 2),
+                  (std::vector<double>{0.1f, -3}));
+        EXPECT_EQ(
+            read(npy(npyDictionary(order + "f8", "(3, 1)"), rawValues<double>({0.1, 1e300, 0}, isBig)), 3),
+            (std::vector<double>{0.1, 1e300, 0}));
+    }
+    EXPECT_TRUE(read(npy(npyDictionary("<f8", "(0,)"), ""), 0).empty());
+    const auto refused = [&](const std::string& descr, const std::string& shape, const std::string& values,
+                             const std::string& what) {
+        const std::string error = errorOf([&] { read(npy(npyDictionary(descr, shape), values), 2); });
+        EXPECT_NE(error.find(what), std::string::npos) << error;
+    };
+    const std::string two = rawValues<double>({1, 2}), three = rawValues<double>({1, 2, 3});
+    refused("<f8", "(3,)", three,
+            "has 3 values, shape (3,); expected are 2 floats of 4 or 8 bytes, shape (2,)");
+    refused("<f8", "(1, 2)", two, "has the shape (1, 2)");
+    refused("<f8", "()", two, "has the shape ()");
+    refused("<i8", "(2,)", two, "holds the dtype '<i8'; expected are 2 floats");
+    refused("<f2", "(2,)", "abcd", "holds the dtype '<f2'");
+    refused("<f8", "(2,)", two.substr(1), "truncated");
+    refused("<f8", "(2,)", three, "8 bytes too many");
+}
+
 TEST(ArrayFiles, areReadWhateverTheirAlignment)
 {
     std::string name = (std::filesystem::temp_directory_path() / "vdb_nns_readers_XXXXXX").string();

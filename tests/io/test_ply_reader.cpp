@@ -28,6 +28,12 @@ PositionArray parsedPly(const std::string& file)
     return readPly(file).positions;
 }
 
+std::vector<double> propertyOf(const std::string& file, const std::string& name)
+{
+    return readAs("a.ply", bytesOf(file),
+                  [&](const ArrayFile& array) { return parsePlyProperty(array, name); });
+}
+
 std::string plyHeader(const std::string& format, const std::string& elements)
 {
     return "ply\nformat " + format + " 1.0\ncomment made by a test\n" + elements + "end_header\n";
@@ -510,9 +516,75 @@ TEST(PlyReader, readsAnyValidFile)
         ASSERT_EQ(maker.isDouble ? read.positions.doubles : floats, maker.expected) << "seed " << seed << "\n"
                                                                                     << file;
         ASSERT_TRUE(read.notes.empty()) << read.notes[0];
+        for (std::size_t k = 0; k < 3; ++k) {
+            const std::vector<double> values = propertyOf(file, std::string(1, "xyz"[k]));
+            ASSERT_EQ(3 * values.size(), maker.expected.size()) << file;
+            for (std::size_t i = 0; i < values.size(); ++i)
+                ASSERT_EQ(values[i], maker.expected[3 * i + k]) << file;
+        }
         if (maker.expected.empty()) continue;
         ASSERT_NE(errorOf([&] { readPly(file + "7\n"); }), "") << "seed " << seed;
     }
+}
+
+TEST(PlyReader, readsOneProperty)
+{
+    const std::string properties =
+        "element vertex 2\nproperty uchar red\nproperty float x\nproperty float y\n"
+        "property float z\nproperty float pscale\nproperty double mass\n"
+        "property short id\n";
+    const std::string text =
+        plyHeader("ascii", properties) + "255 1 2 3 0.1 0.1 -7\n0 4 5 6 nan 1e300 30000\n";
+    EXPECT_EQ(propertyOf(text, "red"), (std::vector<double>{255, 0}));
+    EXPECT_EQ(propertyOf(text, "mass"), (std::vector<double>{0.1, 1e300}));
+    EXPECT_EQ(propertyOf(text, "pscale")[0], double(0.1f)); // the nearest of the type declared
+    EXPECT_TRUE(std::isnan(propertyOf(text, "pscale")[1]));
+    EXPECT_EQ(propertyOf(text, "id"), (std::vector<double>{-7, 30000}));
+    EXPECT_NE(errorOf([&] {
+                  propertyOf(plyHeader("ascii", properties) + "255 1 2 3 0.1 0.1 x\n0 4 5 6 1 1 1\n", "id");
+              }).find("'x' is not an integer; expected property id"),
+              std::string::npos);
+    for (const bool isBig : {false, true}) {
+        std::string body;
+        for (const float first : {1.0f, 2.0f}) {
+            body += std::string(1, char(int(first))) + rawValues<float>({first, 0, 0, first / 3}, isBig) +
+                    rawValues<double>({first / 7.0}, isBig) +
+                    rawValues<std::int16_t>({std::int16_t(-first)}, isBig);
+        }
+        const std::string format = isBig ? "binary_big_endian" : "binary_little_endian";
+        EXPECT_EQ(propertyOf(plyHeader(format, properties) + body, "red"), (std::vector<double>{1, 2}));
+        EXPECT_EQ(propertyOf(plyHeader(format, properties) + body, "pscale"),
+                  (std::vector<double>{1.0f / 3, 2.0f / 3}));
+        EXPECT_EQ(propertyOf(plyHeader(format, properties) + body, "mass"),
+                  (std::vector<double>{1 / 7.0, 2 / 7.0}));
+        EXPECT_EQ(propertyOf(plyHeader(format, properties) + body, "id"), (std::vector<double>{-1, -2}));
+    }
+}
+
+TEST(PlyReader, namesItsPropertiesAndWhatIsThere)
+{
+    const std::string file =
+        plyHeader("ascii", "element vertex 1\n" + kThreeFloats +
+                               "property float32 pscale\nproperty list uchar int near\n") +
+        "1 2 3 4 1 5\n";
+    const ReadArray read = readPly(file);
+    ASSERT_EQ(read.properties.size(), 5u);
+    EXPECT_EQ(read.properties[3].name, "pscale");
+    EXPECT_EQ(read.properties[3].type, "float32");
+    EXPECT_EQ(read.properties[4].type, "list uchar int");
+    EXPECT_EQ(propertyOf(file, "pscale"), std::vector<double>{4});
+    try {
+        propertyOf(file, "pscal");
+        FAIL() << "no such property";
+    } catch (const InvalidInput& e) {
+        const std::string what = e.what();
+        EXPECT_NE(what.find("no property 'pscal'; did you mean 'pscale'? Its properties are 'x', 'y', 'z', "
+                            "'pscale', 'near'"),
+                  std::string::npos)
+            << what;
+    }
+    EXPECT_NE(errorOf([&] { propertyOf(file, "near"); }).find("has type list uchar int; expected is"),
+              std::string::npos);
 }
 
 } // namespace

@@ -467,6 +467,178 @@ TEST_F(PointFileTest, setsAndReplacesAnAttribute)
     EXPECT_THROW(setPointAttribute(*grid, "other", {values.data(), values.size()}), InvalidInput);
 }
 
+// Number of each point as an attribute of any type; and two groups.
+template <typename T>
+void appendNumbers(PointDataGrid& grid, const std::string& name)
+{
+    points::appendAttribute<T>(grid.tree(), name);
+    int next = 0;
+    for (auto leaf = grid.tree().beginLeaf(); leaf; ++leaf) {
+        points::AttributeWriteHandle<T> handle(leaf->attributeArray(name));
+        for (auto index = leaf->beginIndexAll(); index; ++index) handle.set(*index, T(++next));
+    }
+}
+
+void appendGroup(PointDataGrid& grid, const std::string& name, int divisor)
+{
+    points::appendGroup(grid.tree(), name);
+    int next = 0;
+    for (auto leaf = grid.tree().beginLeaf(); leaf; ++leaf) {
+        points::GroupWriteHandle handle = leaf->groupWriteHandle(name);
+        for (auto index = leaf->beginIndexAll(); index; ++index) handle.set(*index, next++ % divisor == 0);
+    }
+}
+
+template <typename Thrown, typename F>
+void expectThrows(const std::string& what, F&& f)
+{
+    try {
+        f();
+        ADD_FAILURE() << "nothing thrown: " << what;
+    } catch (const Thrown& e) {
+        EXPECT_NE(std::string(e.what()).find(what), std::string::npos) << e.what();
+    }
+}
+
+TEST_F(PointFileTest, readsScalarsOfAVdb)
+{
+    const PointDataGrid::Ptr grid = makeGrid<Fixed16>(5000);
+    appendNumbers<float>(*grid, "pscale");
+    appendNumbers<double>(*grid, "mass");
+    appendNumbers<std::int32_t>(*grid, "id");
+    appendNumbers<Vec3f>(*grid, "v");
+    points::appendAttribute(grid->tree(), "name", points::StringAttributeArray::attributeType());
+    points::appendAttribute<float>(grid->tree(), "three", 0.0f, 3);
+    points::appendAttribute<float, Truncate>(grid->tree(), "half", 0.25f);
+    appendGroup(*grid, "fluid", 2);
+    for (const std::uint32_t compression : {0u, kDefaultCompression}) {
+        const PointDataGrid::Ptr other = makeGrid<Fixed16>(100, "other");
+        const PointFile file = PointFile::read(writeFile("a.vdb", {other, grid}, compression), {"points"});
+        std::vector<double> numbers(5000);
+        for (std::size_t i = 0; i < numbers.size(); ++i) numbers[i] = static_cast<double>(i + 1);
+        EXPECT_EQ(file.readScalars("pscale"), numbers);
+        EXPECT_EQ(file.readScalars("mass"), numbers);
+        EXPECT_EQ(file.readScalars("half"), std::vector<double>(5000, 0.25));
+        expectThrows<InvalidInput>(
+            "grid 'points': has no attribute 'pscael'; did you mean 'pscale'? Its attributes are 'P', ",
+            [&] { file.readScalars("pscael"); });
+        expectThrows<InputError>("attribute 'v' has type vec3s; expected is float or double",
+                                 [&] { file.readScalars("v"); });
+        expectThrows<InputError>("'id' has type int32; expected", [&] { file.readScalars("id"); });
+        expectThrows<InputError>("'name' has type string; expected", [&] { file.readScalars("name"); });
+        for (const AttributeInfo& info : file.info().attributes) {
+            if (info.codec == "grp")
+                expectThrows<InputError>("has type group; expected", [&] { file.readScalars(info.name); });
+        }
+        expectThrows<InputError>("'P' has type vec3s with codec fxpt16", [&] { file.readScalars("P"); });
+        expectThrows<InputError>("'three' has several values a point", [&] { file.readScalars("three"); });
+    }
+}
+
+TEST_F(PointFileTest, namedValuesKeepToTheMemoryAllowed)
+{
+    const PointDataGrid::Ptr grid = makeGrid<Fixed16>(5000);
+    appendNumbers<float>(*grid, "pscale");
+    appendGroup(*grid, "fluid", 2);
+    PointFileOptions options;
+    options.hostMemoryBytes = 79999; // 14 bytes a point fit, 16 do not
+    const std::string name = writeFile("a.vdb", {grid}, 0);
+    const PointFile file = PointFile::read(name, options);
+    EXPECT_THROW(file.readScalars("pscale"), CapacityError);
+    EXPECT_EQ(file.readGroups("fluid").size(), 5000u);
+    options.hostMemoryBytes = 80000;
+    EXPECT_EQ(PointFile::read(name, options).readScalars("pscale").size(), 5000u);
+}
+
+TEST_F(PointFileTest, noticesAFileThatHasChanged)
+{
+    const PointDataGrid::Ptr grid = makeGrid<Fixed16>(5000), fewer = makeGrid<Fixed16>(4999);
+    appendNumbers<float>(*grid, "pscale");
+    appendNumbers<float>(*fewer, "pscale");
+    const PointFile file = PointFile::read(writeFile("a.vdb", {grid}, 0));
+    writeFile("a.vdb", {fewer}, 0);
+    expectThrows<InputError>("has changed since", [&] { file.readScalars("pscale"); });
+    fs::resize_file(writeFile("a.vdb", {grid}, 0), 5000);
+    expectThrows<InputError>("has changed since", [&] { file.readScalars("pscale"); });
+    // The same size, but points of other leaves.
+    create(path("a.vdb"), contents(writeFile("b.vdb", {grid}, 0)));
+    EXPECT_EQ(file.readScalars("pscale").size(), 5000u);
+    const PointDataGrid::Ptr moved = grid->deepCopy();
+    moved->clear();
+    for (auto leaf = grid->tree().cbeginLeaf(); leaf; ++leaf) {
+        auto* copy = new Leaf(*leaf);
+        copy->setOrigin(leaf->origin().offsetBy(8, 0, 0));
+        moved->tree().addLeaf(copy);
+    }
+    writeFile("a.vdb", {moved}, 0);
+    ASSERT_EQ(fs::file_size(path("a.vdb")), fs::file_size(path("b.vdb")));
+    expectThrows<InputError>("grid 'points' has changed since", [&] { file.readScalars("pscale"); });
+}
+
+TEST_F(PointFileTest, readsGroupsOfAVdb)
+{
+    const PointDataGrid::Ptr grid = makeGrid<Fixed16>(5000);
+    for (int k = 2; k < 13; ++k) appendGroup(*grid, "by" + std::to_string(k), k); // more than one array holds
+    const PointFile file = PointFile::read(writeFile("a.vdb", {grid}, kDefaultCompression));
+    EXPECT_EQ(file.info().groups.size(), 11u);
+    EXPECT_EQ(file.info().groups[0], "by10");
+    const auto check = [&](const std::string& list, const auto& isIn) {
+        const std::vector<std::uint8_t> chosen = file.readGroups(list);
+        ASSERT_EQ(chosen.size(), 5000u);
+        for (std::size_t i = 0; i < chosen.size(); ++i)
+            ASSERT_EQ(chosen[i] != 0, isIn(i)) << list << " " << i;
+    };
+    check("by3", [](std::size_t i) { return i % 3 == 0; });
+    check("by2, by11", [](std::size_t i) { return i % 2 == 0 || i % 11 == 0; });
+    check(" ^by4 ,by2 ,^ by12", [](std::size_t i) { return i % 2 == 0 && i % 4 != 0 && i % 12 != 0; });
+    check("^by2", [](std::size_t i) { return i % 2 != 0; });
+    check("by2,^by2", [](std::size_t) { return false; });
+    expectThrows<InvalidInput>("an empty name", [&] { file.readGroups("by2,"); });
+    expectThrows<InvalidInput>("an empty name", [&] { file.readGroups(""); });
+    expectThrows<InvalidInput>("an empty name", [&] { file.readGroups("by2,^"); });
+    expectThrows<InvalidInput>("has no point group 'bye3'; did you mean 'by3'? Its groups are 'by10', ",
+                               [&] { file.readGroups("bye3"); });
+    const PointFile plain = PointFile::read(writeFile("b.vdb", {makeGrid<Fixed16>(10)}, 0));
+    expectThrows<InvalidInput>("has no point group 'a'; it has no groups", [&] { plain.readGroups("a"); });
+    create(path("a.xyz"), "1 2 3\n");
+    expectThrows<InvalidInput>("a .xyz file has no point groups",
+                               [&] { PointFile::read(path("a.xyz")).readGroups("a"); });
+    expectThrows<InvalidInput>("a .xyz file has no named values",
+                               [&] { PointFile::read(path("a.xyz")).readScalars("a"); });
+}
+
+TEST_F(PointFileTest, readsScalarsOfLeavesThatDiffer)
+{
+    // One leaf has the attribute and the group, another one neither, and one is without points.
+    const PointDataGrid::Ptr grid = PointDataGrid::create();
+    grid->setName("points");
+    addLeaf(*grid, Coord(0), {{3, Vec3f(0.1f)}, {5, Vec3f(0.2f)}});
+    points::appendAttribute<float>(grid->tree(), "pscale", 2.5f);
+    points::appendGroup(grid->tree(), "some");
+    points::setGroup(grid->tree(), "some", true);
+    addLeaf(*grid, Coord(80), {{7, Vec3f(0)}});
+    addLeaf(*grid, Coord(160), {});
+    const PointFile file = PointFile::read(writeFile("a.vdb", {grid}, kDefaultCompression));
+    EXPECT_EQ(file.readScalars("pscale"), (std::vector<double>{2.5, 2.5, 0}));
+    EXPECT_EQ(file.readGroups("some"), (std::vector<std::uint8_t>{1, 1, 0}));
+    EXPECT_EQ(file.readGroups("^some"), (std::vector<std::uint8_t>{0, 0, 1}));
+}
+
+TEST_F(PointFileTest, readsScalarsOfAPly)
+{
+    create(path("a.ply"), "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\n"
+                          "property float z\nproperty double r\nend_header\n1 2 3 0.5\n4 5 6 0.7\n");
+    const PointFile file = PointFile::read(path("a.ply"));
+    EXPECT_EQ(file.readScalars("r"), (std::vector<double>{0.5, 0.7}));
+    ASSERT_EQ(file.info().attributes.size(), 4u);
+    EXPECT_EQ(file.info().attributes[3].name, "r");
+    EXPECT_EQ(file.info().attributes[3].type, "double");
+    EXPECT_EQ(file.info().attributes[3].codec, "");
+    expectThrows<InvalidInput>("has no property 'q'", [&] { file.readScalars("q"); });
+    std::ofstream(path("a.ply"), std::ios::app) << "7 8 9 1\n";
+    expectThrows<InputError>("has changed since", [&] { file.readScalars("r"); });
+}
+
 // --------------------------------------------------------------------------------------------- reading files
 
 TEST_F(PointFileTest, readsEveryCodecAndCompression)

@@ -41,6 +41,7 @@ Members listMembers(const RawLists& lists)
 {
     const auto shape = [](std::size_t n) { return "(" + std::to_string(n) + ",)"; };
     const std::size_t rows = lists.offsets.size() - 1, pairs = lists.indices.size();
+    const std::size_t columns = lists.columns.value_or(rows);
     const std::string ones(pairs, '\1');
     return {
         {"indptr.npy", npyBytes("<i8", shape(rows + 1), bytesOf<std::int64_t>(lists.offsets))},
@@ -48,7 +49,8 @@ Members listMembers(const RawLists& lists)
         {"data.npy", lists.distances.empty()
                          ? npyBytes("|i1", shape(pairs), ones)
                          : npyBytes("<f4", shape(lists.distances.size()), bytesOf<float>(lists.distances))},
-        {"shape.npy", npyBytes("<i8", "(2,)", bytesOf<std::int64_t>(std::vector<std::size_t>{rows, rows}))},
+        {"shape.npy",
+         npyBytes("<i8", "(2,)", bytesOf<std::int64_t>(std::vector<std::size_t>{rows, columns}))},
         {"format.npy", npyBytes("|S3", "()", "csr")},
     };
 }

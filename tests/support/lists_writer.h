@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -12,7 +13,8 @@ namespace vdb_nns::testing {
 struct RawLists {
     std::vector<std::int64_t> offsets; // indptr
     std::vector<std::int64_t> indices;
-    std::vector<float> distances; // float32 data; empty: int8 ones
+    std::vector<float> distances;            // float32 data; empty: int8 ones
+    std::optional<std::size_t> columns = {}; // none: as many as rows
 };
 
 RawLists rawLists(const std::vector<std::vector<std::uint32_t>>& rows);

@@ -3,6 +3,7 @@
 #include <openvdb/openvdb.h>
 #include <openvdb/points/PointAttribute.h>
 #include <openvdb/points/PointDataGrid.h>
+#include <openvdb/points/PointGroup.h>
 
 #include <cmath>
 #include <cstdint>
@@ -151,7 +152,20 @@ void writeUnusual()
     write("nonfinite.vdb", {makeGrid<PlainP>("points", spoilt, unit())});
 }
 
-// Points far out of their voxels under a general affine map, and where they are in the world, as raw doubles.
+// Where points are in the world, as raw doubles.
+void writePositions(const std::string& name, const PointDataGrid& grid)
+{
+    std::ofstream positions(gFolder + "/" + name, std::ios::binary);
+    for (auto leaf = grid.tree().cbeginLeaf(); leaf; ++leaf) {
+        const points::AttributeHandle<Vec3f> handle(leaf->constAttributeArray("P"));
+        for (auto index = leaf->beginIndexAll(); index; ++index) {
+            const Vec3d world = grid.indexToWorld(index.getCoord().asVec3d() + Vec3d(handle.get(*index)));
+            positions.write(reinterpret_cast<const char*>(world.asV()), 3 * sizeof(double));
+        }
+    }
+}
+
+// Points far out of their voxels under a general affine map.
 void writeAffine()
 {
     std::vector<StoredPoint> stored = cloud(6);
@@ -162,14 +176,38 @@ void writeAffine()
                              5.0, 1.0);
     const auto grid = makeGrid<PlainP>("points", stored, math::Transform::createLinearTransform(matrix));
     write("affine.vdb", {grid});
-    std::ofstream positions(gFolder + "/affine.f64", std::ios::binary);
-    for (auto leaf = grid->tree().cbeginLeaf(); leaf; ++leaf) {
-        const points::AttributeHandle<Vec3f> handle(leaf->constAttributeArray("P"));
-        for (auto index = leaf->beginIndexAll(); index; ++index) {
-            const Vec3d world = matrix.transform(index.getCoord().asVec3d() + Vec3d(handle.get(*index)));
-            positions.write(reinterpret_cast<const char*>(world.asV()), 3 * sizeof(double));
+    writePositions("affine.f64", *grid);
+}
+
+// Two grids under two transforms, the first with radii and groups: "pscale" (float) and "mass" (double) are 0.05 times
+// 1, 2, ... 7 in turn, "even" and "third" hold every second and third point, "v" is a vector.
+void writeNamedValues()
+{
+    const auto first = makeGrid<PlainP>("points", cloud(7), unit(0.25));
+    points::appendAttribute<float>(first->tree(), "pscale");
+    points::appendAttribute<double>(first->tree(), "mass");
+    points::appendAttribute<Vec3f>(first->tree(), "v");
+    points::appendAttribute<Int32>(first->tree(), "id");
+    for (const char* const group : {"even", "third"}) points::appendGroup(first->tree(), group);
+    int number = 0;
+    for (auto leaf = first->tree().beginLeaf(); leaf; ++leaf) {
+        points::AttributeWriteHandle<float> floats(leaf->attributeArray("pscale"));
+        points::AttributeWriteHandle<double> doubles(leaf->attributeArray("mass"));
+        points::GroupWriteHandle even = leaf->groupWriteHandle("even"),
+                                 third = leaf->groupWriteHandle("third");
+        for (auto index = leaf->beginIndexAll(); index; ++index, ++number) {
+            floats.set(*index, 0.05f * static_cast<float>(1 + number % 7));
+            doubles.set(*index, 0.05 * (1 + number % 7));
+            even.set(*index, number % 2 == 0);
+            third.set(*index, number % 3 == 0);
         }
     }
+    const math::Mat4d matrix(0.2, 0.03, -0.01, 0.0, -0.02, 0.3, 0.05, 0.0, 0.01, -0.04, -0.25, 0.0, 0.1, -0.2,
+                             0.05, 1.0);
+    const auto second = makeGrid<PlainP>("probes", cloud(4), math::Transform::createLinearTransform(matrix));
+    write("named_values.vdb", {first, second});
+    writePositions("named_values_points.f64", *first);
+    writePositions("named_values_probes.f64", *second);
 }
 
 } // namespace
@@ -187,6 +225,7 @@ int main(int argc, char** argv)
         writeDamaged();
         writeUnusual();
         writeAffine();
+        writeNamedValues();
     } catch (const std::exception& e) {
         std::cerr << "make_fixtures: " << e.what() << "\n";
         return 1;

@@ -350,6 +350,30 @@ TEST_F(ArrayPoints, DifferenceIsFoundAndNamed)
               "a.xyz: has 2 points to the engine's reader and 1 to verify's own");
 }
 
+TEST_F(ArrayPoints, DifferenceOfValuesIsFoundAndNamed)
+{
+    using Values = std::vector<double>;
+    const auto difference = [](const Values& engine, const Values& own) {
+        return cli::findDifference("r.npy", engine, own).value_or("none");
+    };
+    EXPECT_EQ(difference({1, NAN}, {1, NAN}), "none");
+    EXPECT_EQ(difference({1, 0}, {1, -0.}),
+              "r.npy: the value of point 1 is 0 to the engine's reader and -0 to verify's own");
+    EXPECT_EQ(difference({1, 2}, {1}), "r.npy: has 2 values to the engine's reader and 1 to verify's own");
+}
+
+TEST_F(ArrayPoints, PropertiesOfAPly)
+{
+    const std::string header = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\n"
+                               "property float z\nproperty uchar n\nproperty float r\n"
+                               "property list uchar int near\nend_header\n";
+    const std::string path = file("ply", header + "1 2 3 7 0.1 0\n4 5 6 8 nan 1 9\n");
+    EXPECT_EQ(cli::readPlyScalars(path, "n"), (std::vector<double>{7, 8}));
+    EXPECT_EQ(cli::readPlyScalars(path, "r")[0], double(0.1F));
+    for (const char* const name : {"near", "q", ""})
+        EXPECT_THROW(cli::readPlyScalars(path, name), InputError);
+}
+
 // As the engine's reader once read a lone CR: the first point only.
 TEST_F(ArrayPoints, TwoFilesDiffer)
 {

@@ -534,6 +534,56 @@ TEST(ReaderAgreement, Ply)
     expectAgreement("ply", makePly);
 }
 
+// Every property that is one number, where the engine's reader finds nothing wrong with its values.
+TEST(ReaderAgreement, PlyProperties)
+{
+    const std::string path = ::testing::TempDir() + "vdb_nns_agreement_properties.ply";
+    std::size_t compared = 0;
+    for (std::uint64_t seed = 0; seed < 400; ++seed) {
+        SCOPED_TRACE(path + " of seed " + std::to_string(seed));
+        Maker maker(seed);
+        writeBytes(path, makePly(maker).bytes);
+        const PointFile file = PointFile::read(path);
+        for (const AttributeInfo& property : file.info().attributes) {
+            std::vector<double> engine, own;
+            try {
+                engine = file.readScalars(property.name);
+            } catch (const InputError&) {
+                continue;
+            }
+            ASSERT_NO_THROW(own = cli::readPlyScalars(path, property.name)) << property.name;
+            ASSERT_EQ(cli::findDifference(path, engine, own).value_or(""), "") << property.name;
+            ++compared;
+        }
+    }
+    EXPECT_GT(compared, 1200U);
+    std::filesystem::remove(path);
+}
+
+TEST(ReaderAgreement, RadiusFiles)
+{
+    const std::string path = ::testing::TempDir() + "vdb_nns_agreement_radii.npy";
+    for (const std::string type : {"<f4", ">f4", "<f8", ">f8"}) {
+        for (const std::string shape : {"(6,)", "(6, 1)"}) {
+            const std::size_t bytes = type[2] == '4' ? 4 : 8;
+            std::string values;
+            for (std::size_t k = 0; k < 6 * bytes; ++k) values += static_cast<char>(k * k * 37 + 11);
+            writeBytes(path, npyBytes(type, shape, values));
+            const std::vector<double> engine = readRadiusFile(path, 6);
+            ASSERT_EQ(engine.size(), 6U);
+            EXPECT_EQ(cli::findDifference(path, engine, cli::readNpyNumbers(path)).value_or(""), "");
+        }
+    }
+    for (const char* const lie : {"(2, 3)", "(7,)", "()"}) {
+        writeBytes(path, npyBytes("<f4", lie, std::string(24, 'x')));
+        EXPECT_THROW(cli::readNpyNumbers(path), InputError) << lie;
+        EXPECT_THROW(readRadiusFile(path, 6), InputError) << lie;
+    }
+    writeBytes(path, npyBytes("<i4", "(6,)", std::string(24, 'x')));
+    EXPECT_THROW(cli::readNpyNumbers(path), InputError);
+    std::filesystem::remove(path);
+}
+
 TEST(ReaderAgreement, Vtk)
 {
     expectAgreement("vtk", makeVtk, parsedPositions<parseVtk>);

@@ -3,7 +3,7 @@
 #include "../support/distributions.h"
 #include "../support/lists_writer.h"
 #include "../support/oracle.h"
-#include "points/particle_source.h"
+#include "set_source.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/particle_view.h"
 #include "verify/exact_pair.h"
@@ -21,41 +21,6 @@ namespace {
 
 using cli::Fault;
 using cli::VerifyReport;
-
-// A point set as the definition of a ParticleView; no grid file needed.
-class SetSource : public ParticleSource {
-public:
-    explicit SetSource(const PointSet& set) : mPoints(set.points)
-    {
-        mSize = set.points.size();
-        mLinear = set.linear;
-        mIsArray = false;
-    }
-    StoredPosition stored(std::size_t i) const override
-    {
-        const ExactPoint& p = mPoints[i];
-        return {{p.voxel[0], p.voxel[1], p.voxel[2]}, {p.offset[0], p.offset[1], p.offset[2]}};
-    }
-    void read(std::size_t begin, std::size_t count, const Vec3d& reference, double* x, double* y,
-              double* z) const override
-    {
-        double* out[3] = {x, y, z};
-        for (std::size_t k = 0; k < count; ++k) {
-            for (std::size_t axis = 0; axis < 3; ++axis) {
-                const ExactPoint& p = mPoints[begin + k];
-                out[axis][k] = (static_cast<double>(p.voxel[axis]) - reference[axis]) + p.offset[axis];
-            }
-        }
-    }
-
-private:
-    std::vector<ExactPoint> mPoints;
-};
-
-ParticleView viewOf(const PointSet& set)
-{
-    return ParticleView(std::make_shared<SetSource>(set));
-}
 
 class Verify : public ::testing::Test {
 protected:
@@ -341,7 +306,8 @@ TEST_F(Verify, RefusesArraysThatLie)
     expectRefused(with(0, npyBytes("<i8", "(99999999999999999999,)", offsets)), "absurd");
     expectRefused(with(0, offsets), "not a .npy array");
     expectRefused(with(1, npyBytes("<i4", "(0,)", "")), "differ in length");
-    expectRefused(with(3, npyBytes("<i8", "(2,)", bytesOf<std::int64_t>(std::vector<int>{6, 7}))), "square");
+    expectRefused(with(3, npyBytes("<i8", "(2,)", bytesOf<std::int64_t>(std::vector<int>{7, 6}))),
+                  "rows of 'indptr'");
     expectRefused(with(4, npyBytes("|S3", "()", "csc")), "CSR");
     for (const std::size_t missing : {0U, 1U, 2U, 3U, 4U}) {
         Members members = listMembers(good);

@@ -43,7 +43,8 @@ PointFile readPoints(const InputFlags& input, const PointNeeds& needs, const Pro
     report.seconds.read = watch.seconds();
     checkPeak(needs.hostMemoryBytes);
     report.path = session.path = input.path;
-    const bool needsInfo = needs.info || needs.failNonfinite || input.radius.empty();
+    const bool needsRadius = input.radius.empty() && !needs.hasRadii;
+    const bool needsInfo = needs.info || needs.failNonfinite || needsRadius;
     if (needsInfo) report.info = file.info();
     if (needs.failNonfinite && report.info->nonfinite > 0) {
         throw CheckFailed(std::to_string(report.info->nonfinite) + " of " +
@@ -51,6 +52,7 @@ PointFile readPoints(const InputFlags& input, const PointNeeds& needs, const Pro
                           " points have a NaN or infinite coordinate; --nonfinite skip leaves them out");
     }
     session.grid = needsInfo ? report.info->grid : input.grid;
+    if (needs.hasRadii) return file;
     const std::optional<double> suggested = needsInfo ? report.info->suggestedRadius : std::nullopt;
     report.radius = chooseRadius(input.radius, suggested, input.path, needs.quiet);
     if (extensionOf(input.path) == ".vdb") {

@@ -14,6 +14,7 @@ struct PointNeeds {
     bool failNonfinite; ///< --nonfinite fail
     bool quiet;
     std::uint64_t hostMemoryBytes; ///< --host-memory; 0: no bound
+    bool hasRadii = false;         ///< points have radii of their own, so that no other is needed
 };
 
 /// Reads the file; fills what report and session say of it: path, info, radius, seconds.

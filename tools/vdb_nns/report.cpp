@@ -48,6 +48,14 @@ Json inputJson(const SearchReport& report)
     return input;
 }
 
+Json queriesJson(const PointFileInfo& info)
+{
+    return {{"path", info.path},
+            {"grid", info.voxelSize ? Json(info.grid) : Json(nullptr)},
+            {"points", info.points},
+            {"nonfinite", info.nonfinite}};
+}
+
 Json deviceJson(const std::string& kind, const std::string& name, const Json& budget)
 {
     return {{"kind", kind},      {"name", name},         {"budget_bytes", budget}, {"peak_bytes", nullptr},
@@ -175,6 +183,8 @@ Json resultJson(const SearchReport& report)
     result["mean"] = report.result->mean;
     result["max"] = report.result->max;
     result["isolated"] = report.result->isolated;
+    result["shortened"] = report.result->shortened;
+    result["bad_radii"] = report.badRadii;
     result["checksum"] = report.checksum ? Json(checksumText(*report.checksum)) : Json(nullptr);
     return result;
 }
@@ -351,15 +361,17 @@ Vec3d radiusInVoxels(const Matrix3& linear, double radius)
     return {radius * inverse.row(0).norm(), radius * inverse.row(1).norm(), radius * inverse.row(2).norm()};
 }
 
-void fillGridReport(const SparseGrid& grid, const SearchOptions& options, SearchReport& report)
+void fillGridReport(const SearchSets& sets, const SearchOptions& options, SearchReport& report)
 {
-    report.points = grid.view().size();
-    report.nonfinite = grid.nonfiniteCount();
-    report.cellSize = grid.cellSize();
-    report.reach = grid.reach();
-    report.leaves = grid.leafCount();
-    report.cells = grid.cellCount();
-    report.gridBytes = grid.bytes();
+    report.points = sets.columnCount();
+    report.nonfinite = sets.nonfiniteCandidates();
+    report.rows = sets.rowCount();
+    report.lattices = sets.latticeCount();
+    report.cellSize = sets.cellSize();
+    report.reach = sets.reach();
+    report.leaves = sets.leafCount();
+    report.cells = sets.cellCount();
+    report.gridBytes = sets.bytes();
     report.device.name = cpuName();
     if (options.hostMemoryBytes > 0) report.device.budgetBytes = options.hostMemoryBytes;
 }
@@ -371,12 +383,10 @@ std::string searchReportJson(const SearchReport& report)
     json["version"] = VDB_NNS_VERSION;
     json["command"] = report.command;
     json["input"] = inputJson(report);
+    if (report.queries) json["queries"] = queriesJson(*report.queries);
     json["radius"] = {{"world", report.radius}, {"voxels", orNull(report.radiusVoxels)}};
-    json["grid"] = {{"cell_size", report.cellSize},
-                    {"reach", report.reach},
-                    {"leaves", report.leaves},
-                    {"cells", report.cells},
-                    {"bytes", report.gridBytes}};
+    json["grid"] = {{"cell_size", report.cellSize}, {"reach", report.reach}, {"lattices", report.lattices},
+                    {"leaves", report.leaves},      {"cells", report.cells}, {"bytes", report.gridBytes}};
     const Json devices = devicesJson(report);
     const Json main = mainDevice(devices);
     json["device"] = {{"kind", main["kind"]},
@@ -400,6 +410,7 @@ std::string searchReportText(const SearchReport& report)
 {
     const SecondsReport& seconds = report.seconds;
     std::string text = line("particles", countText(report.points));
+    if (report.queries) text += line("queries", countText(report.rows) + " of " + report.queries->path);
     const std::string voxels =
         report.radiusVoxels ? " (" + vectorText(*report.radiusVoxels) + " voxels)" : "";
     text += line("radius", shortest(report.radius) + voxels);
@@ -408,6 +419,8 @@ std::string searchReportText(const SearchReport& report)
     text += line("neighbors", format("min %u  mean %.2f  max %u", result.min, result.mean, result.max));
     text += line("isolated", countText(result.isolated));
     text += line("skipped", countText(report.nonfinite) + " not finite");
+    if (result.shortened > 0) text += line("shortened", countText(result.shortened) + " lists had more");
+    if (report.badRadii > 0) text += line("bad radii", countText(report.badRadii) + " reach nobody");
     text += line("cells", countText(report.cells) + " in " + countText(report.leaves) + " leaves, edge " +
                               format("%.6g", report.cellSize));
     const std::string lists = std::string(encodingName(report.encoding)) + ", " + bytesText(report.listBytes);

@@ -6,6 +6,7 @@
 #include "vdb_nns/planning/plan.h"
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/search_options.h"
+#include "vdb_nns/search_sets.h"
 #include "vdb_nns/types.h"
 
 #include <cstdint>
@@ -31,9 +32,11 @@ struct SecondsReport {
 struct SearchReport {
     std::string command = "search";
     std::string path;
-    std::optional<PointFileInfo> info; ///< made only where it is asked for: it costs a pass
+    std::optional<PointFileInfo> info;    ///< made only where it is asked for: it costs a pass
+    std::optional<PointFileInfo> queries; ///< where they are other points than those of `path`
     std::uint64_t points = 0, nonfinite = 0;
-    double radius = 0;
+    std::uint64_t rows = 0, lattices = 1, badRadii = 0;
+    double radius = 0;                 ///< the largest, if points have radii of their own
     std::optional<Vec3d> radiusVoxels; ///< empty for arrays
     double cellSize = 0;
     int reach = 1;
@@ -53,7 +56,7 @@ struct SearchReport {
 };
 
 /// What a report says of the grid and of the machine that made it.
-void fillGridReport(const SparseGrid& grid, const SearchOptions& options, SearchReport& report);
+void fillGridReport(const SearchSets& sets, const SearchOptions& options, SearchReport& report);
 
 /// The report of design 3.8, keys in its order; null where a step did not run.
 std::string searchReportJson(const SearchReport& report);

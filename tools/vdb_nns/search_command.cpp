@@ -6,6 +6,7 @@
 #include "machine.h"
 #include "numbers.h"
 #include "point_input.h"
+#include "query_options.h"
 #include "report.h"
 #include "search_progress.h"
 #include "standard_streams.h"
@@ -27,6 +28,7 @@ namespace {
 struct SearchFlags {
     CommonFlags common;
     InputFlags input;
+    QueryFlags query;
     EngineFlags engine;
     std::vector<std::string> outputs;
     DeviceFlags device;
@@ -39,6 +41,7 @@ struct SearchFlags {
 struct SearchPlan {
     std::optional<double> radius; // else the file's suggestion
     JobOptions job;
+    QueryPlan query;
     int threads = 0;
     std::uint64_t repeat = 1;
 };
@@ -53,6 +56,7 @@ void addFlags(CLI::App& app, SearchFlags& flags)
         ->allow_extra_args(false)
         ->check(notEmpty());
     addInputFlags(app, flags.input, true);
+    addQueryFlags(app, flags.query);
     addDeviceFlags(app, flags.device);
     addEngineFlags(app, flags.engine);
     app.add_option("--encoding", flags.encoding,
@@ -100,7 +104,8 @@ void checkAttributes(const SearchFlags& flags)
 
 void checkOutputKinds(const SearchFlags& flags, SearchPlan& plan)
 {
-    const bool inputIsVdb = extensionOf(flags.input.path) == ".vdb";
+    const std::string& rows = flags.query.queries.empty() ? flags.input.path : flags.query.queries;
+    const bool rowsAreVdb = extensionOf(rows) == ".vdb";
     for (const std::string& path : flags.outputs) {
         const std::string extension = extensionOf(path);
         plan.job.written.npz |= extension == ".npz";
@@ -110,9 +115,9 @@ void checkOutputKinds(const SearchFlags& flags, SearchPlan& plan)
                                "' is not known; use .npz for lists or .vdb for "
                                "points with attributes");
         }
-        if (extension == ".vdb" && !inputIsVdb) {
+        if (extension == ".vdb" && !rowsAreVdb) {
             throw InvalidInput(path + ": attributes can only be written when the input is a .vdb, and " +
-                               flags.input.path + " is not; use -o x.npz");
+                               rows + " is not; use -o x.npz");
         }
     }
     if (plan.job.written.npz && flags.encoding == "none") {
@@ -127,12 +132,14 @@ Encoding chooseEncoding(const SearchFlags& flags, const SearchPlan& plan)
     if (flags.encoding == "mask") return Encoding::kMask;
     if (flags.encoding == "none") return Encoding::kNone;
     if (plan.job.written.npz) return Encoding::kIndex;
-    return flags.checksum ? Encoding::kMask : Encoding::kNone;
+    if (!flags.checksum) return Encoding::kNone;
+    return plan.query.nearest > 0 ? Encoding::kIndex : Encoding::kMask;
 }
 
-ListValues listValues(const SearchFlags& flags)
+ListForm listForm(const SearchFlags& flags, const SearchPlan& plan)
 {
-    return flags.lists == "distance" ? ListValues::kDistance : ListValues::kConnectivity;
+    return {flags.lists == "distance" ? ListValues::kDistance : ListValues::kConnectivity,
+            plan.query.byDistance ? RowOrder::kDistance : RowOrder::kNumber};
 }
 
 // The file that is written while its rows are found: where nobody else wants the lists, and no search is repeated to be timed.
@@ -143,7 +150,7 @@ std::optional<NpzTarget> targetOf(const SearchFlags& flags, const SearchPlan& pl
     if (count != 1 || plan.repeat > 1 || !flags.encoding.empty()) return std::nullopt;
     NpzTarget target;
     target.path = *std::find_if(flags.outputs.begin(), flags.outputs.end(), isNpz);
-    target.form = listValues(flags);
+    target.form = listForm(flags, plan);
     target.output = outputOptions(flags.common);
     target.checksum = flags.checksum || !flags.common.json.empty();
     return target;
@@ -154,7 +161,14 @@ SearchPlan checkFlags(const SearchFlags& flags)
 {
     SearchPlan plan;
     if (!flags.input.radius.empty()) plan.radius = parsePositive(flags.input.radius, "--radius");
+    plan.query = checkQueryFlags(flags.query, flags.input);
     plan.job.search = searchOptions(flags.engine, nullptr);
+    plan.job.search.nearest = plan.query.nearest;
+    plan.job.search.includeSelf = plan.query.includeSelf;
+    if (plan.query.nearest > 0 && flags.encoding == "mask") {
+        throw InvalidInput("--encoding mask and --nearest do not go together: masks hold whole lists; use "
+                           "--encoding index");
+    }
     plan.threads = threadCount(flags.common);
     plan.repeat = parseCount(flags.repeat, "--repeat");
     if (plan.repeat == 0) throw InvalidInput("--repeat: 0 runs are none; give 1 or more");
@@ -164,7 +178,9 @@ SearchPlan checkFlags(const SearchFlags& flags)
     plan.job.mayUseMasks = flags.encoding.empty();
     plan.job.mayStream = plan.job.written.npz && flags.encoding != "mask";
     plan.job.npz = targetOf(flags, plan);
-    checkOutputs(flags.outputs, {flags.input.path}, flags.common);
+    std::vector<std::string> inputs = queryFiles(flags.query);
+    inputs.push_back(flags.input.path);
+    checkOutputs(flags.outputs, inputs, flags.common);
     return plan;
 }
 
@@ -182,7 +198,7 @@ void checkAttribute(const SearchFlags& flags, const SearchPlan& plan, const Poin
 }
 
 // The job, `repeat` times with buffers kept; the last lists are returned.
-NeighborLists runJobs(SearchEngine& engine, const ParticleView& view, const SearchFlags& flags,
+NeighborLists runJobs(SearchEngine& engine, const QueryInput& input, const SearchFlags& flags,
                       const SearchPlan& plan, ProgressPrinter& progress, SearchReport& report, JobReport& job)
 {
     constexpr double kReadShare = 0.2, kSearchShare = 0.6; // rough shares of a run, for progress only
@@ -201,7 +217,8 @@ NeighborLists runJobs(SearchEngine& engine, const ParticleView& view, const Sear
             }
         };
         try {
-            lists = engine.findNeighbors(view, report.radius, options, job);
+            lists = engine.findNeighbors(input.candidateSet(), input.querySet(), input.radius(report.radius),
+                                         options, job);
         } catch (const CapacityError&) {
             tell();
             throw;
@@ -225,11 +242,11 @@ NeighborLists runJobs(SearchEngine& engine, const ParticleView& view, const Sear
 }
 
 // The checksum of NeighborLists::checksum() without stored lists.
-std::uint64_t visitChecksum(SearchEngine& engine, const SparseGrid& grid, const SearchOptions& options)
+std::uint64_t visitChecksum(SearchEngine& engine, const SearchSets& sets, const SearchOptions& options)
 {
     tbb::combinable<std::uint64_t> sums([] { return std::uint64_t{0}; });
     engine.visitRows(
-        grid,
+        sets,
         [&](std::uint32_t query, Span<const std::uint32_t> neighbors) {
             std::uint64_t sum = 0;
             for (const std::uint32_t neighbor : neighbors)
@@ -248,12 +265,13 @@ void makeChecksum(SearchEngine& engine, const SearchFlags& flags, const JobRepor
     if (job.checksum || (!flags.checksum && (flags.common.json.empty() || !wanted))) return;
     const Stopwatch watch;
     const SearchOptions& search = job.settled.search;
-    report.checksum = stored ? lists.checksum(search.progress) : visitChecksum(engine, lists.grid(), search);
+    report.checksum = stored ? lists.checksum(search.progress) : visitChecksum(engine, lists.sets(), search);
     report.seconds.checksum = watch.seconds();
 }
 
-void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const JobReport& job, const PointFile& file,
-                  const NeighborLists& lists, ProgressPrinter& progress, SearchReport& report)
+void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const SearchPlan& plan,
+                  const JobReport& job, const PointFile& file, const NeighborLists& lists,
+                  ProgressPrinter& progress, SearchReport& report)
 {
     if (flags.outputs.empty()) return;
     const Stopwatch watch;
@@ -263,7 +281,7 @@ void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const JobRepor
         progress.begin("write", from, from + share);
         if (extensionOf(path) == ".npz") {
             if (!job.written)
-                writeJobNpz(path, engine, lists, job, listValues(flags), outputOptions(flags.common));
+                writeJobNpz(path, engine, lists, job, listForm(flags, plan), outputOptions(flags.common));
         } else {
             const std::vector<std::uint32_t> counts = lists.counts();
             file.writeVdb(path, {counts.data(), counts.size()}, flags.prefix, outputOptions(flags.common),
@@ -277,17 +295,50 @@ void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const JobRepor
 void fillReport(const SearchEngine& engine, const SearchFlags& flags, const JobReport& job,
                 const NeighborLists& lists, SearchReport& report)
 {
-    fillGridReport(lists.grid(), job.settled.search, report);
+    fillGridReport(lists.sets(), job.settled.search, report);
     report.listBytes = lists.bytes();
     report.encoding = job.streamed ? Encoding::kIndex : lists.encoding();
     report.straightToFile = job.streamed;
-    if (!flags.common.json.empty()) report.candidateTests = countCandidateTests(lists.grid());
+    if (!flags.common.json.empty()) report.candidateTests = countCandidateTests(lists.sets());
     report.doublePairs = engine.statistics().doublePairs;
     report.exactPairs = engine.statistics().exactPairs;
     report.simd = simdLevelName(engine.statistics().simd);
     report.result = lists.statistics();
     report.plan = job.plan;
     report.run = job.run;
+}
+
+// IN, and what the flags about queries name.
+QueryInput readInput(const SearchFlags& flags, const SearchPlan& plan, const PointNeeds& needs,
+                     const ProgressSpan& span, Session& session, SearchReport& report)
+{
+    const PointFile file = readPoints(flags.input, needs, span, session, report);
+    if (plan.query.isPlain()) {
+        QueryInput input;
+        input.candidates = file;
+        input.plan = plan.query;
+        return input;
+    }
+    const Stopwatch watch;
+    QueryInput input =
+        readQueryInput(file, flags.query, plan.query, flags.input, needs.hostMemoryBytes, &span.printer);
+    report.seconds.read += watch.seconds();
+    report.badRadii = input.badRadii;
+    if (input.queries) {
+        report.queries = input.queries->info();
+        if (needs.failNonfinite && report.queries->nonfinite > 0) {
+            throw CheckFailed(std::to_string(report.queries->nonfinite) + " of " +
+                              std::to_string(report.queries->points) +
+                              " queries have a NaN or infinite coordinate; --nonfinite skip leaves them out");
+        }
+    }
+    if (needs.failNonfinite && input.badRadii > 0) {
+        throw CheckFailed(
+            std::to_string(input.badRadii) +
+            " points have a radius that is NaN, infinite or not positive; --nonfinite skip takes them "
+            "as radii that reach nobody");
+    }
+    return input;
 }
 
 int searchFile(const SearchFlags& flags, const SearchPlan& plan, int threads, Session& session)
@@ -297,16 +348,18 @@ int searchFile(const SearchFlags& flags, const SearchPlan& plan, int threads, Se
     SearchReport report;
     report.device.threads = threads;
     const PointNeeds needs{!flags.common.json.empty(), flags.nonfinite == "fail", flags.common.quiet,
-                           plan.job.search.hostMemoryBytes};
-    const PointFile file = readPoints(flags.input, needs, {progress, 0, 0.2}, session, report);
-    checkAttribute(flags, plan, file);
+                           plan.job.search.hostMemoryBytes, plan.query.hasRadii};
+    const QueryInput input = readInput(flags, plan, needs, {progress, 0, 0.2}, session, report);
+    const PointFile& rows = input.queries ? *input.queries : input.candidates;
+    checkAttribute(flags, plan, rows);
 
     SearchEngine engine;
     JobReport job;
-    const NeighborLists lists = runJobs(engine, file.view(), flags, plan, progress, report, job);
+    const NeighborLists lists = runJobs(engine, input, flags, plan, progress, report, job);
+    if (plan.query.hasRadii) report.radius = lists.sets().radius();
     fillReport(engine, flags, job, lists, report);
     makeChecksum(engine, flags, job, lists, report);
-    writeOutputs(engine, flags, job, file, lists, progress, report);
+    writeOutputs(engine, flags, plan, job, rows, lists, progress, report);
     throwIfStopped();
     progress.finish();
     report.peakBytes = peakMemoryBytes();
@@ -327,7 +380,19 @@ int runSearchCommand(const SearchFlags& flags, Session& session)
 {
     SearchPlan plan = checkFlags(flags);
     ThreadLimit threads(plan.threads);
-    plan.job.device = deviceOptions(flags.device, threads.count());
+    DeviceFlags device = flags.device;
+    const bool isForDevices =
+        !plan.query.hasRoles && !plan.query.hasRadii && plan.query.nearest == 0 && !plan.query.includeSelf;
+    if (!isForDevices) {
+        if (device.device != "auto" && device.device != "cpu") {
+            throw InvalidInput(
+                "--device " + device.device +
+                ": devices search all points within one radius; queries, groups, radii of points, "
+                "--nearest and --include-self run on the CPU: use --device cpu");
+        }
+        device.device = "cpu";
+    }
+    plan.job.device = deviceOptions(device, threads.count());
     return threads.run([&] { return searchFile(flags, plan, threads.count(), session); });
 }
 

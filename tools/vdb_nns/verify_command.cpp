@@ -3,6 +3,7 @@
 #include "command.h"
 #include "exit_codes.h"
 #include "machine.h"
+#include "query_options.h"
 #include "report.h"
 #include "standard_streams.h"
 #include "threads.h"
@@ -26,6 +27,7 @@ using Json = nlohmann::ordered_json;
 struct VerifyFlags {
     CommonFlags common;
     InputFlags input;
+    QueryFlags query;
     std::string lists, sample, seed = "1";
 };
 
@@ -38,7 +40,14 @@ Json exampleJson(const FaultExample& example)
             {"value", example.fileValue}};
 }
 
-std::string verifyJson(const VerifyFlags& flags, double radius, const VerifyReport& report, double seconds)
+// What was checked: `radius` of all pairs where points have none of their own.
+struct Checked {
+    std::optional<double> radius;
+    std::uint64_t badRadii = 0;
+};
+
+std::string verifyJson(const VerifyFlags& flags, const Checked& checked, const VerifyReport& report,
+                       double seconds)
 {
     Json json;
     json["schema"] = 1;
@@ -46,7 +55,8 @@ std::string verifyJson(const VerifyFlags& flags, double radius, const VerifyRepo
     json["command"] = "verify";
     json["path"] = flags.input.path;
     json["lists"] = flags.lists;
-    json["radius"] = radius;
+    json["radius"] = checked.radius ? Json(*checked.radius) : Json(nullptr);
+    json["bad_radii"] = checked.radius ? Json(nullptr) : Json(checked.badRadii);
     json["passed"] = report.passed();
     json["queries"] = report.queries;
     json["listed_pairs"] = report.listedPairs;
@@ -76,9 +86,13 @@ std::string exampleText(Fault fault, const FaultExample& example)
     return text + "\n";
 }
 
-std::string verifyText(const VerifyReport& report, double seconds)
+std::string verifyText(const Checked& checked, const VerifyReport& report, double seconds)
 {
     std::string text = format("queries     %llu\n", static_cast<unsigned long long>(report.queries));
+    if (!checked.radius) {
+        text += format("radii       of points, %llu of them NaN, infinite or not positive\n",
+                       static_cast<unsigned long long>(checked.badRadii));
+    }
     text += format("pairs       %llu listed, %llu expected\n",
                    static_cast<unsigned long long>(report.listedPairs),
                    static_cast<unsigned long long>(report.expectedPairs));
@@ -107,29 +121,92 @@ std::optional<Positions> readOwnPoints(const PointFile& file, const std::string&
     return own;
 }
 
-int verifyFile(const VerifyFlags& flags, const VerifyOptions& options, Session& session)
+// Points as verify takes them: from its own reader where that can read the file.
+struct CheckedPoints {
+    std::optional<Positions> own;
+    ParticleView view;
+};
+
+CheckedPoints checkedPoints(const PointFile& file, const std::string& path, const PointFileOptions& options)
+{
+    CheckedPoints points;
+    points.own = readOwnPoints(file, path, options);
+    points.view =
+        points.own ? ParticleView::fromArray(points.own->data(), points.own->size() / 3) : file.view();
+    return points;
+}
+
+Vec3d translationOf(const PointFile& file)
+{
+    const Matrix4& transform = file.info().transform;
+    return {transform[0][3], transform[1][3], transform[2][3]};
+}
+
+// Radii of the points of a file that verify can read itself, too: properties, and radius files.
+// @throws CheckFailed where the engine's reader understands the file differently
+void checkRadii(const std::vector<double>& radii, const std::string& path, const std::string& radiusFile,
+                const VerifyFlags& flags, double scale, const PointFileOptions& options)
+{
+    const std::string& attribute = flags.query.radiusAttribute;
+    if (radii.empty() || (!attribute.empty() && extensionOf(path) != ".ply")) return;
+    const std::string& source = attribute.empty() ? radiusFile : path;
+    std::vector<double> own =
+        attribute.empty() ? readNpyNumbers(source, options) : readPlyScalars(source, attribute, options);
+    for (double& radius : own) radius *= scale;
+    if (const std::optional<std::string> difference = findDifference(source, radii, own))
+        throw CheckFailed(*difference);
+}
+
+int verifyFile(const VerifyFlags& flags, const QueryPlan& plan, const VerifyOptions& options,
+               Session& session)
 {
     const Stopwatch watch;
     ProgressPrinter progress(progressMode(flags.common));
     progress.begin("read", 0, 0.2);
     const PointFileOptions inputOptions = pointFileOptions(flags.input, 0, &progress);
-    const PointFile file = PointFile::read(flags.input.path, inputOptions);
+    const QueryInput input = readQueryInput(PointFile::read(flags.input.path, inputOptions), flags.query,
+                                            plan, flags.input, 0, &progress);
+    const CheckedPoints candidates = checkedPoints(input.candidates, flags.input.path, inputOptions);
+    SearchTerms terms;
+    terms.queries = input.querySet();
+    terms.candidates = input.candidateSet();
+    terms.queries.view = terms.candidates.view = candidates.view;
+    CheckedPoints queries;
+    const std::string& queriesPath = flags.query.queries.empty() ? flags.input.path : flags.query.queries;
+    if (input.queries) {
+        queries = checkedPoints(*input.queries, queriesPath,
+                                queryFileOptions(flags.query, flags.input, 0, &progress));
+        terms.queries.view = queries.view;
+        terms.queryTranslation = translationOf(*input.queries);
+        terms.candidateTranslation = translationOf(input.candidates);
+    }
+    const std::string &radiusFile = flags.query.radiusFile,
+                      &queriesRadiusFile = flags.query.queriesRadiusFile;
+    checkRadii(input.queryRadii, queriesPath, input.queries ? queriesRadiusFile : radiusFile, flags,
+               plan.radiusScale, inputOptions);
+    checkRadii(input.candidateRadii, flags.input.path, radiusFile, flags, plan.radiusScale, inputOptions);
     session.path = flags.input.path;
     session.grid = flags.input.grid;
     session.otherPath = flags.lists;
-    const std::optional<Positions> own = readOwnPoints(file, flags.input.path, inputOptions);
-    const ParticleView points = own ? ParticleView::fromArray(own->data(), own->size() / 3) : file.view();
-    const std::optional<double> suggested =
-        flags.input.radius.empty() ? file.info().suggestedRadius : std::optional<double>();
-    const double radius = chooseRadius(flags.input.radius, suggested, flags.input.path, flags.common.quiet);
+    Checked checked{{}, input.badRadii};
+    if (!plan.hasRadii) {
+        const std::optional<double> suggested =
+            flags.input.radius.empty() ? input.candidates.info().suggestedRadius : std::optional<double>();
+        checked.radius = chooseRadius(flags.input.radius, suggested, flags.input.path, flags.common.quiet);
+    }
+    terms.radius = input.radius(checked.radius.value_or(0));
+    terms.nearest = plan.nearest;
+    terms.byDistance = plan.byDistance;
+    terms.includeSelf = plan.includeSelf;
     const ListsFile lists = ListsFile::open(flags.lists, &progress);
     progress.begin("verify", 0.2, 1);
-    const VerifyReport report = verifyLists(points, radius, lists, options, &progress);
+    const VerifyReport report = verifyLists(terms, lists, options, &progress);
     throwIfStopped();
     progress.finish();
-    deliverJson(flags.common.json, verifyJson(flags, radius, report, watch.seconds()),
+    deliverJson(flags.common.json, verifyJson(flags, checked, report, watch.seconds()),
                 outputOptions(flags.common));
-    if (!flags.common.quiet && !jsonToStdout(flags.common)) writeSummary(verifyText(report, watch.seconds()));
+    if (!flags.common.quiet && !jsonToStdout(flags.common))
+        writeSummary(verifyText(checked, report, watch.seconds()));
     if (!report.passed()) {
         throw CheckFailed(flags.lists + " differs from the neighbors of " + flags.input.path + " in " +
                           std::to_string(report.faultCount()) + " places (" + std::to_string(report.queries) +
@@ -142,13 +219,16 @@ int runVerifyCommand(const VerifyFlags& flags, Session& session)
 {
     VerifyOptions options;
     if (!flags.input.radius.empty()) parsePositive(flags.input.radius, "--radius");
+    const QueryPlan plan = checkQueryFlags(flags.query, flags.input);
     if (!flags.sample.empty()) options.sample = parseCount(flags.sample, "--sample");
     if (options.sample && *options.sample == 0)
         throw InvalidInput("--sample: 0 queries check nothing; give 1 or more");
     options.seed = parseCount(flags.seed, "--seed");
     ThreadLimit threads(threadCount(flags.common));
-    checkOutputs({}, {flags.input.path, flags.lists}, flags.common);
-    return threads.run([&] { return verifyFile(flags, options, session); });
+    std::vector<std::string> inputs = queryFiles(flags.query);
+    inputs.insert(inputs.end(), {flags.input.path, flags.lists});
+    checkOutputs({}, inputs, flags.common);
+    return threads.run([&] { return verifyFile(flags, plan, options, session); });
 }
 
 } // namespace
@@ -162,6 +242,7 @@ Command addVerifyCommand(CLI::App& app)
         ->check(notEmpty());
     command->add_option("LISTS", flags->lists, "lists to check (.npz)")->required()->check(notEmpty());
     addInputFlags(*command, flags->input, true);
+    addQueryFlags(*command, flags->query);
     command
         ->add_option("--sample", flags->sample,
                      "check N random queries against all points; default: all queries")

@@ -102,4 +102,30 @@ std::optional<std::string> findDifference(const std::string& path, const Particl
            std::to_string(ownSize) + " to verify's own";
 }
 
+std::vector<double> readPlyScalars(const std::string& path, const std::string& property,
+                                   const PointFileOptions& options)
+{
+    return readPlyProperty({path, options}, property);
+}
+
+std::vector<double> readNpyNumbers(const std::string& path, const PointFileOptions& options)
+{
+    return readNpyList({path, options});
+}
+
+std::optional<std::string> findDifference(const std::string& path, const std::vector<double>& engine,
+                                          const std::vector<double>& own)
+{
+    for (std::size_t i = 0; i < std::min(engine.size(), own.size()); ++i) {
+        if (isSame(engine[i], own[i])) continue;
+        char text[2 * 32 + 64];
+        std::snprintf(text, sizeof text, "%.17g to the engine's reader and %.17g to verify's own", engine[i],
+                      own[i]);
+        return path + ": the value of point " + std::to_string(i) + " is " + text;
+    }
+    if (engine.size() == own.size()) return std::nullopt;
+    return path + ": has " + std::to_string(engine.size()) + " values to the engine's reader and " +
+           std::to_string(own.size()) + " to verify's own";
+}
+
 } // namespace vdb_nns::cli

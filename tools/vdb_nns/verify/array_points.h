@@ -26,6 +26,20 @@ bool isArrayPointFile(const std::string& path);
 // @throws Cancelled
 Positions readArrayPoints(const std::string& path, const PointFileOptions& options = {});
 
+// A property of element `vertex` of a .ply, one number a vertex.
+// @throws InputError for a file that is not understood whole, and for a property that is not there once or is a list
+std::vector<double> readPlyScalars(const std::string& path, const std::string& property,
+                                   const PointFileOptions& options = {});
+
+// The numbers of an .npy of shape (N,) or (N, 1), of 4 or 8 bytes.
+// @throws InputError for another file
+std::vector<double> readNpyNumbers(const std::string& path, const PointFileOptions& options = {});
+
+// The sentence about the first of the values of the points of `path` that two readers understand differently, or about their
+// number; nothing where all are the same.
+std::optional<std::string> findDifference(const std::string& path, const std::vector<double>& engine,
+                                          const std::vector<double>& own);
+
 // The sentence about the first point that two readers of `path` understand differently, or about their number
 // of points; nothing where all coordinates are the same to the bit, NaN being the same as NaN.
 std::optional<std::string> findDifference(const std::string& path, const ParticleView& engine,

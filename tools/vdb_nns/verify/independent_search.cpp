@@ -1,8 +1,9 @@
 #include "independent_search.h"
 
-#include "cell_rows.h"
-#include "point_cells.h"
+#include "radius_classes.h"
 #include "row_check.h"
+#include "row_finder.h"
+#include "search_clouds.h"
 #include "throw_if_cancelled.h"
 #include "vdb_nns/error.h"
 
@@ -18,13 +19,34 @@ namespace vdb_nns::cli {
 
 namespace {
 
-void checkArguments(const ParticleView& view, double radius, const ListsFile& lists)
+void checkRadii(Span<const double> radii, std::size_t count)
 {
-    if (!(radius > 0 && std::isfinite(radius)))
-        throw InvalidInput("verify: the radius must be positive and finite");
-    if (lists.rowCount() == view.size()) return;
-    throw InputError(lists.path() + ": has " + std::to_string(lists.rowCount()) + " rows, but there are " +
-                     std::to_string(view.size()) + " points; are these the lists of this file?");
+    if (radii.size() != count)
+        throw InvalidInput("verify: " + std::to_string(radii.size()) + " radii for " + std::to_string(count) +
+                           " particles");
+}
+
+void checkArguments(const SearchTerms& terms, const ListsFile& lists)
+{
+    const Radius& radius = terms.radius;
+    const std::size_t rows = terms.queries.view.size(), columns = terms.candidates.view.size();
+    if (radius.isOne()) {
+        if (!(radius.value > 0 && std::isfinite(radius.value)))
+            throw InvalidInput("verify: the radius must be positive and finite");
+    } else {
+        if (radius.mode != RadiusMode::kScatter) checkRadii(radius.ofQueries, rows);
+        if (radius.mode != RadiusMode::kGather) checkRadii(radius.ofCandidates, columns);
+    }
+    const std::string end = "; are these the lists of this file?";
+    if (lists.rowCount() != rows) {
+        throw InputError(lists.path() + ": has " + std::to_string(lists.rowCount()) +
+                         " rows, but there are " + std::to_string(rows) +
+                         (terms.isOneSet() ? " points" : " queries") + end);
+    }
+    if (lists.columnCount() != columns) {
+        throw InputError(lists.path() + ": has " + std::to_string(lists.columnCount()) +
+                         " columns, but there are " + std::to_string(columns) + " points" + end);
+    }
 }
 
 // Counts rows from many threads for the progress and asks whether to stop.
@@ -48,31 +70,45 @@ private:
 
 // ---- all rows, by cells -------------------------------------------------------------------------------------------
 
-RowChecker checkAll(const PointCloud& cloud, const PairJudge& judge, const RowChecker& empty,
-                    RowCounter& counter)
+RowChecker merged(RowChecker a, const RowChecker& b)
 {
-    const CellHash cells(cloud);
-    const auto merge = [](RowChecker a, const RowChecker& b) {
-        a.merge(b);
-        return a;
-    };
-    RowChecker result = tbb::parallel_reduce(
-        tbb::blocked_range<std::size_t>(0, cells.size(), 64), empty,
+    a.merge(b);
+    return a;
+}
+
+// Checks the rows of a group; marks them in `done`, a byte a query.
+RowChecker checkGroup(const RadiusClasses::Group& group, const RowFinder& empty, const RowChecker& none,
+                      RowCounter& counter, std::vector<std::uint8_t>& done)
+{
+    const CellHash& cells = *group.queries;
+    return tbb::parallel_reduce(
+        tbb::blocked_range<std::size_t>(0, cells.size(), 64), none,
         [&](const tbb::blocked_range<std::size_t>& range, RowChecker checker) {
-            CellRows rows(cloud, cells, judge);
-            for (std::size_t cell = range.begin(); cell < range.end(); ++cell) {
-                rows.run(cell, [&checker](std::uint32_t query, const std::vector<std::uint32_t>& found) {
-                    checker.check(query, found);
-                });
+            RowFinder finder(empty);
+            const std::size_t begin = cells.begin(range.begin()), end = cells.end(range.end() - 1);
+            for (std::size_t at = begin; at < end; ++at) {
+                const std::uint32_t query = cells.numbers()[at];
+                checker.check(query, finder.findByCells(query, group.candidates));
+                done[query] = 1;
             }
-            checker.countExactPairs(rows.exactPairs());
-            counter.done(cells.end(range.end() - 1) - cells.begin(range.begin()));
+            checker.countExactPairs(finder.exactPairs());
+            counter.done(end - begin);
             return checker;
         },
-        merge);
-    // Rows of points that are not finite must be empty.
-    for (std::size_t i = 0; i < cloud.x.size(); ++i) {
-        if (std::isnan(cloud.x[i])) result.check(static_cast<std::uint32_t>(i), {});
+        merged);
+}
+
+RowChecker checkAll(const SearchJudge& judge, const SearchClouds& clouds, const RowFinder& finder,
+                    const RowChecker& empty, RowCounter& counter)
+{
+    const RadiusClasses classes(judge, clouds);
+    std::vector<std::uint8_t> done(judge.queryCount());
+    RowChecker result = empty;
+    for (const RadiusClasses::Group& group : classes.groups())
+        result.merge(checkGroup(group, finder, empty, counter, done));
+    // Those that are no queries, and those that reach nobody.
+    for (std::size_t i = 0; i < done.size(); ++i) {
+        if (!done[i]) result.check(static_cast<std::uint32_t>(i), {});
     }
     return result;
 }
@@ -97,87 +133,69 @@ std::vector<std::uint32_t> drawSample(std::uint64_t size, std::uint64_t count, s
     return sample;
 }
 
-// Appends the neighbors of `query` among the points [begin, end) to `found`.
-void searchTile(const PointCloud& cloud, const PairJudge& judge, std::uint32_t query, std::size_t begin,
-                std::size_t end, std::vector<std::uint32_t>& found, RowChecker& checker)
-{
-    constexpr std::size_t kPart = 256;
-    double squares[kPart];
-    for (std::size_t part = begin; part < end; part += kPart) {
-        const std::size_t count = std::min(kPart, end - part);
-        squaredDistances(&cloud.x[part], &cloud.y[part], &cloud.z[part], count, cloud.x[query],
-                         cloud.y[query], cloud.z[query], squares);
-        int candidates = 0;
-        for (std::size_t k = 0; k < count; ++k)
-            candidates += squares[k] <= cloud.sureBeyond; // NaN: not finite
-        if (candidates == 0) continue;
-        for (std::size_t k = 0; k < count; ++k) {
-            const auto number = static_cast<std::uint32_t>(part + k);
-            if (!(squares[k] <= cloud.sureBeyond) || number == query) continue;
-            if (squares[k] > cloud.sureWithin) {
-                checker.countExactPairs(1);
-                if (!judge.within(query, number)) continue;
-            }
-            found.push_back(number);
-        }
-    }
-}
-
-// The neighbors of a few queries, by a pass over all points in tiles that stay in the cache.
-std::vector<std::vector<std::uint32_t>> searchAll(const PointCloud& cloud, const PairJudge& judge,
-                                                  const std::uint32_t* queries, std::size_t count,
-                                                  RowChecker& checker)
+// The neighbors of a few queries, by a pass over all candidates in tiles that stay in the cache.
+std::vector<std::vector<std::uint32_t>> searchAll(const SearchClouds& clouds, RowFinder& finder,
+                                                  const std::uint32_t* queries, std::size_t count)
 {
     constexpr std::size_t kTile = 4096;
+    const std::size_t size = clouds.candidates->x.size();
     std::vector<std::vector<std::uint32_t>> found(count);
-    for (std::size_t tile = 0; tile < cloud.x.size(); tile += kTile) {
-        const std::size_t end = std::min(cloud.x.size(), tile + kTile);
-        for (std::size_t q = 0; q < count; ++q) {
-            searchTile(cloud, judge, queries[q], tile, end, found[q], checker);
-        }
+    for (std::size_t tile = 0; tile < size; tile += kTile) {
+        const std::size_t end = std::min(size, tile + kTile);
+        for (std::size_t q = 0; q < count; ++q) finder.findAmong(queries[q], tile, end, found[q]);
     }
     return found;
 }
 
-RowChecker checkSample(const PointCloud& cloud, const PairJudge& judge, const RowChecker& empty,
+RowChecker checkSample(const SearchClouds& clouds, const RowFinder& unused, const RowChecker& empty,
                        const std::vector<std::uint32_t>& sample, RowCounter& counter)
 {
     constexpr std::size_t kGroup = 8; // queries a pass over the points
     return tbb::parallel_reduce(
         tbb::blocked_range<std::size_t>(0, (sample.size() + kGroup - 1) / kGroup, 1), empty,
         [&](const tbb::blocked_range<std::size_t>& range, RowChecker checker) {
+            RowFinder finder(unused);
             for (std::size_t group = range.begin(); group < range.end(); ++group) {
                 const std::uint32_t* queries = sample.data() + group * kGroup;
                 const std::size_t count = std::min(kGroup, sample.size() - group * kGroup);
-                const auto found = searchAll(cloud, judge, queries, count, checker);
+                const auto found = searchAll(clouds, finder, queries, count);
                 for (std::size_t q = 0; q < count; ++q) checker.check(queries[q], found[q]);
                 counter.done(count);
             }
+            checker.countExactPairs(finder.exactPairs());
             return checker;
         },
-        [](RowChecker a, const RowChecker& b) {
-            a.merge(b);
-            return a;
-        });
+        merged);
 }
 
 } // namespace
 
+VerifyReport verifyLists(const SearchTerms& terms, const ListsFile& lists, const VerifyOptions& options,
+                         Progress* progress)
+{
+    checkArguments(terms, lists);
+    const SearchJudge judge(terms);
+    const SearchClouds clouds = makeClouds(judge);
+    const std::vector<Bounds> bounds = candidateBounds(judge, clouds);
+    const RowFinder finder(judge, clouds, bounds);
+    const RowChecker empty(lists, judge, options.maxExamples);
+    const std::uint64_t rows = judge.queryCount();
+    if (!options.sample) {
+        RowCounter counter(rows, progress);
+        return checkAll(judge, clouds, finder, empty, counter).finish();
+    }
+    const auto sample = drawSample(rows, std::min<std::uint64_t>(*options.sample, rows), options.seed);
+    RowCounter counter(sample.size(), progress);
+    return checkSample(clouds, finder, empty, sample, counter).finish();
+}
+
 VerifyReport verifyLists(const ParticleView& view, double radius, const ListsFile& lists,
                          const VerifyOptions& options, Progress* progress)
 {
-    checkArguments(view, radius, lists);
-    const PointCloud cloud = makeCloud(view, radius);
-    const PairJudge judge(view, radius);
-    const RowChecker empty(lists, judge, view.size(), options.maxExamples);
-    if (!options.sample) {
-        RowCounter counter(view.size(), progress);
-        return checkAll(cloud, judge, empty, counter).finish();
-    }
-    const auto sample =
-        drawSample(view.size(), std::min<std::uint64_t>(*options.sample, view.size()), options.seed);
-    RowCounter counter(sample.size(), progress);
-    return checkSample(cloud, judge, empty, sample, counter).finish();
+    SearchTerms terms;
+    terms.queries = terms.candidates = view;
+    terms.radius = radius;
+    return verifyLists(terms, lists, options, progress);
 }
 
 } // namespace vdb_nns::cli

@@ -1,9 +1,10 @@
 // `vdb_nns verify`: checks neighbor lists against a search of its own. Shares no grid, filter or kernel with the engine:
-// hash cells (point_cells.h), double arithmetic with a certified bound, exact integers inside it (exact_pair.h).
-// Takes the positions from ParticleView, which defines them.
+// hash cells (radius_classes.h), double arithmetic with a certified bound (search_clouds.h), exact integers inside it
+// (exact_pair.h).
 #pragma once
 
 #include "lists_reader.h"
+#include "search_judge.h"
 #include "vdb_nns/particle_view.h"
 #include "vdb_nns/progress.h"
 
@@ -52,13 +53,19 @@ struct VerifyReport {
     bool passed() const { return faultCount() == 0; }
 };
 
-// Checks every row (or a sample): the neighbors are those of the definition, ascending, none twice, none the query
-// itself; of true neighbors, a connectivity holds ones and distances are the float nearest to the true distance (or its
-// neighbor where double arithmetic cannot tell). Points that are not finite have empty rows. The report is the same for any number of threads.
+// Checks every row (or a sample): the neighbors are those of the definition, ascending by number or by distance, none twice,
+// none the query itself unless that is asked for; of true neighbors, a connectivity holds ones and distances are the float
+// nearest to the true distance (or its neighbor where double arithmetic cannot tell). Points that are not finite, or not of
+// the groups chosen, have empty rows and are in none. The report is the same for any number of threads.
 // An entry out of range, equal to the query or repeated counts as that alone; other entries that should not be there are
-// extra. An entry smaller than the one before it is unsorted, besides.
-// @throws InputError if the lists have another number of rows than the view has points, InvalidInput for a radius that
-//         is not positive and finite, Cancelled
+// extra. An entry smaller than the one before it is unsorted, besides; where rows are by distance, one of those that should
+// be there which should stand before the last of them.
+// @throws InputError if the lists have another shape than the sets, InvalidInput for a radius of all pairs that is not
+//         positive and finite and for radii that are not as many as the particles, Cancelled
+VerifyReport verifyLists(const SearchTerms& terms, const ListsFile& lists, const VerifyOptions& options = {},
+                         Progress* progress = nullptr);
+
+// The same of all particles of one set within one radius.
 VerifyReport verifyLists(const ParticleView& view, double radius, const ListsFile& lists,
                          const VerifyOptions& options = {}, Progress* progress = nullptr);
 

@@ -183,7 +183,7 @@ struct ListsFile::Data {
 
     FilePieces file;
     Array offsets, indices, values;
-    std::uint64_t rows = 0, pairs = 0;
+    std::uint64_t rows = 0, columns = 0, pairs = 0;
     mutable tbb::enumerable_thread_specific<RowCache> caches;
 
     void readArrays(const Progress* progress);
@@ -213,9 +213,10 @@ void ListsFile::Data::readArrays(const Progress* progress)
     std::array<std::uint64_t, 2> edges{};
     if (shape.size == edges.size()) readElements<std::uint64_t>(file, shape, 0, edges.size(), edges.data());
     rows = offsets.size - 1; // wraps for an empty indptr, which the next test refuses
-    if (offsets.size == 0 || shape.size != edges.size() || edges[0] != rows || edges[1] != rows) {
-        throw InputError(path + ": 'shape' is not that of a square matrix with the rows of 'indptr'");
+    if (offsets.size == 0 || shape.size != edges.size() || edges[0] != rows || edges[1] >> 63) {
+        throw InputError(path + ": 'shape' is not that of a matrix with the rows of 'indptr'");
     }
+    columns = edges[1];
     pairs = indices.size;
     if (values.size != pairs) throw InputError(path + ": 'data' and 'indices' differ in length");
 }
@@ -260,6 +261,10 @@ const std::string& ListsFile::path() const
 std::uint64_t ListsFile::rowCount() const
 {
     return mData->rows;
+}
+std::uint64_t ListsFile::columnCount() const
+{
+    return mData->columns;
 }
 std::uint64_t ListsFile::pairCount() const
 {

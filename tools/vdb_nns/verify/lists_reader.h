@@ -22,13 +22,14 @@ public:
     // alignment.
     // Cost: one pass over the file for its checksums.
     // @throws InputError: no such file, not a ZIP, a member missing, double, compressed, outside the file or
-    //         with a wrong CRC-32; a wrong type; not square; row offsets that decrease or do not cover the
+    //         with a wrong CRC-32; a wrong type; a shape without the rows of indptr; row offsets that decrease or do not cover the
     //         indices
     // @throws Cancelled
     static ListsFile open(const std::string& path, const Progress* progress = nullptr);
 
     const std::string& path() const;
     std::uint64_t rowCount() const;
+    std::uint64_t columnCount() const;
     std::uint64_t pairCount() const;
 
     // True: values are float32 distances; false: the int8 of a connectivity, which should be 1.

@@ -100,6 +100,26 @@ class NpyArray {
 public:
     NpyArray(const PointInput& input, const std::string& bytes) : mInput(input), mBytes(bytes) {}
 
+    // The one column of an array.
+    std::vector<double> readList()
+    {
+        const Literal header = readHeader();
+        for (const Literal& size : valueOf(header, "shape").items) mShape.push_back(sizeOf(size));
+        if (mShape.size() != 1 && !(mShape.size() == 2 && mShape[1] == 1))
+            fail("has an .npy array that is no list");
+        const Column column = columnOf(valueOf(header, "descr").text, mItemBytes);
+        checkNumber(column);
+        if (column.type.kind != 'f' || column.type.bytes < 4) fail("has an .npy list that is not of floats");
+        checkSize();
+        std::vector<double> numbers;
+        for (std::uint64_t row = 0; row < mShape[0]; ++row) {
+            if (row % kRowsBetweenChecks == 0) mInput.checkCancelled();
+            numbers.push_back(
+                *numberAt(mBytes.data() + mBegin + row * mItemBytes, column.type, column.isBigEndian));
+        }
+        return numbers;
+    }
+
     Positions read()
     {
         const Literal header = readHeader();
@@ -274,6 +294,12 @@ Positions readNpyPoints(const PointInput& input)
 {
     const std::string bytes = input.bytes();
     return NpyArray(input, bytes).read();
+}
+
+std::vector<double> readNpyList(const PointInput& input)
+{
+    const std::string bytes = input.bytes();
+    return NpyArray(input, bytes).readList();
 }
 
 Positions readNpzPoints(const PointInput& input)

@@ -1,6 +1,6 @@
 // The polygon file format (Greg Turk, Stanford): lines of a header, and behind `end_header` the rows of its
 // elements, in their order, as text with a row a line or as packed binary numbers. Positions are x, y and z
-// of the element `vertex`.
+// of the element `vertex`; other properties of it are read one at a time.
 #include "file_numbers.h"
 #include "point_formats.h"
 
@@ -32,19 +32,20 @@ public:
         if (!mStream) input.fail("cannot be opened");
     }
 
-    Positions read()
+    // Numbers of those properties of each vertex, one behind the other.
+    std::vector<double> read(const std::vector<std::string>& properties)
     {
         readHeader();
         std::size_t number = 0;
         while (number < mElements.size() && mElements[number].name != "vertex") ++number;
         if (number == mElements.size()) mInput.fail("has no .ply element 'vertex'");
-        findCoordinates(mElements[number]);
+        findWanted(mElements[number], properties);
         if (mIsText) {
             readText(number);
         } else {
             readBinary(number);
         }
-        return std::move(mPositions);
+        return std::move(mNumbers);
     }
 
 private:
@@ -125,18 +126,21 @@ private:
         mInput.fail("has the .ply type '" + name + "', which is not known");
     }
 
-    void findCoordinates(const Element& vertex)
+    void findWanted(const Element& vertex, const std::vector<std::string>& wanted)
     {
-        mCoordinate.assign(vertex.properties.size(), -1);
-        for (int k = 0; k < 3; ++k) {
+        mPlace.assign(vertex.properties.size(), -1);
+        mRow.resize(wanted.size());
+        for (std::size_t k = 0; k < wanted.size(); ++k) {
             int found = 0;
             for (std::size_t i = 0; i < vertex.properties.size(); ++i) {
                 const Property& property = vertex.properties[i];
-                if (property.name != std::string(1, "xyz"[k]) || property.length) continue;
-                mCoordinate[i] = k;
+                if (property.name != wanted[k] || property.length) continue;
+                mPlace[i] = static_cast<int>(k);
                 ++found;
             }
-            if (found != 1) mInput.fail("has no .ply property x, y or z of 'vertex', or has it twice");
+            if (found != 1)
+                mInput.fail("has no .ply property " + wanted[k] +
+                            " of 'vertex' that is a number, or has it twice");
         }
     }
 
@@ -150,10 +154,11 @@ private:
         return true;
     }
 
-    void add(const double* position)
+    // The row that was read.
+    void addRow()
     {
-        if (mPositions.size() / 3 % kRowsBetweenChecks == 0) mInput.checkCancelled();
-        mPositions.insert(mPositions.end(), position, position + 3);
+        if (mNumbers.size() / mRow.size() % kRowsBetweenChecks == 0) mInput.checkCancelled();
+        mNumbers.insert(mNumbers.end(), mRow.begin(), mRow.end());
     }
 
     void readText(std::size_t vertex)
@@ -192,22 +197,20 @@ private:
         const auto take = [&] {
             if (!nextWord()) mInput.fail("has a .ply row with fewer values than declared: '" + line + "'");
         };
-        double position[3] = {};
         for (std::size_t i = 0; i < element.properties.size(); ++i) {
             const Property& property = element.properties[i];
             take();
             if (property.length) {
                 for (std::uint64_t left = lengthOf(word); left > 0; --left) take();
-            } else if (isVertex && mCoordinate[i] >= 0) {
+            } else if (isVertex && mPlace[i] >= 0) {
                 const bool isFloat = property.type.kind == 'f' && property.type.bytes == 4;
                 const std::optional<double> value = isFloat ? floatOf(word) : numberOf(word);
-                if (!value)
-                    mInput.fail("has a .ply coordinate that is no number of its type: '" + word + "'");
-                position[mCoordinate[i]] = *value;
+                if (!value) mInput.fail("has a .ply value that is no number of its type: '" + word + "'");
+                mRow[static_cast<std::size_t>(mPlace[i])] = *value;
             }
         }
         if (nextWord()) mInput.fail("has a .ply row with more values than declared: '" + line + "'");
-        if (isVertex) add(position);
+        if (isVertex) addRow();
     }
 
     void readBytes(char* out, std::size_t bytes)
@@ -236,7 +239,6 @@ private:
 
     void readBinaryRow(const Element& element, bool isVertex)
     {
-        double position[3] = {};
         for (std::size_t i = 0; i < element.properties.size(); ++i) {
             const Property& property = element.properties[i];
             if (property.length) {
@@ -246,10 +248,10 @@ private:
                     readNumber(property.type);
             } else {
                 const double value = readNumber(property.type);
-                if (isVertex && mCoordinate[i] >= 0) position[mCoordinate[i]] = value;
+                if (isVertex && mPlace[i] >= 0) mRow[static_cast<std::size_t>(mPlace[i])] = value;
             }
         }
-        if (isVertex) add(position);
+        if (isVertex) addRow();
     }
 
     const PointInput& mInput;
@@ -257,15 +259,21 @@ private:
     char mLineEnd = '\n';
     bool mIsText = false, mIsBigEndian = false;
     std::vector<Element> mElements;
-    std::vector<int> mCoordinate; // of each property of a vertex: 0, 1, 2 or none, -1
-    Positions mPositions;
+    std::vector<int> mPlace;  // of each property of a vertex among those wanted, or -1
+    std::vector<double> mRow; // those wanted of a vertex
+    std::vector<double> mNumbers;
 };
 
 } // namespace
 
 Positions readPlyPoints(const PointInput& input)
 {
-    return PlyFile(input).read();
+    return PlyFile(input).read({"x", "y", "z"});
+}
+
+std::vector<double> readPlyProperty(const PointInput& input, const std::string& name)
+{
+    return PlyFile(input).read({name});
 }
 
 } // namespace vdb_nns::cli

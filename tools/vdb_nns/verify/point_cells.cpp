@@ -112,6 +112,13 @@ bool PairJudge::within(std::uint32_t i, std::uint32_t j) const
 }
 
 CellHash::CellHash(const PointCloud& cloud)
+    : CellHash(cloud.x.data(), cloud.y.data(), cloud.z.data(), cloud.finite, cloud.edge)
+{
+}
+
+CellHash::CellHash(const double* x, const double* y, const double* z,
+                   const std::vector<std::uint32_t>& numbers, double edge)
+    : mEdge(edge)
 {
     struct Place {
         CellKey key;
@@ -121,12 +128,12 @@ CellHash::CellHash(const PointCloud& cloud)
             return key != other.key ? key < other.key : number < other.number;
         }
     };
-    std::vector<Place> places(cloud.finite.size());
+    std::vector<Place> places(numbers.size());
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, places.size(), kChunk), [&](const auto& range) {
-        const auto cell = [&](double p) { return static_cast<std::int64_t>(std::floor(p / cloud.edge)); };
+        const auto cell = [&](double p) { return static_cast<std::int64_t>(std::floor(p / edge)); };
         for (std::size_t k = range.begin(); k < range.end(); ++k) {
-            const std::uint32_t i = cloud.finite[k];
-            places[k] = {{cell(cloud.x[i]), cell(cloud.y[i]), cell(cloud.z[i])}, i};
+            const std::uint32_t i = numbers[k];
+            places[k] = {{cell(x[i]), cell(y[i]), cell(z[i])}, i};
         }
     });
     tbb::parallel_sort(places.begin(), places.end());

@@ -59,7 +59,11 @@ using CellKey = std::array<std::int64_t, 3>;
 class CellHash {
 public:
     explicit CellHash(const PointCloud& cloud);
+    // Of some points by their coordinates, which are finite, in cells of that edge.
+    CellHash(const double* x, const double* y, const double* z, const std::vector<std::uint32_t>& numbers,
+             double edge);
 
+    double edge() const { return mEdge; }
     std::size_t size() const { return mKeys.size(); }
     const CellKey& key(std::size_t cell) const { return mKeys[cell]; }
     std::size_t begin(std::size_t cell) const { return mBegin[cell]; }
@@ -74,6 +78,7 @@ public:
 private:
     void hashKeys();
 
+    double mEdge;
     std::vector<CellKey> mKeys;
     std::vector<std::size_t> mBegin;
     std::vector<std::uint32_t> mNumbers;

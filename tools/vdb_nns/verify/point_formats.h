@@ -27,6 +27,8 @@ Positions readTextPoints(const PointInput& input); // .xyz .txt .csv .pts
 Positions readNpyPoints(const PointInput& input);
 Positions readNpzPoints(const PointInput& input);
 Positions readPlyPoints(const PointInput& input);
+std::vector<double> readPlyProperty(const PointInput& input, const std::string& name);
+std::vector<double> readNpyList(const PointInput& input);
 Positions readVtkPoints(const PointInput& input);
 Positions readBgeoPoints(const PointInput& input);
 

@@ -1,8 +1,8 @@
 #include "row_check.h"
 
 #include <algorithm>
-#include <cmath>
 #include <limits>
+#include <unordered_map>
 
 namespace vdb_nns::cli {
 
@@ -35,34 +35,6 @@ void keepExample(std::vector<FaultExample>& examples, const FaultExample& exampl
     if (examples.size() > most) examples.pop_back();
 }
 
-bool isFinite(const StoredPoint& point)
-{
-    return std::isfinite(point.offset[0]) && std::isfinite(point.offset[1]) && std::isfinite(point.offset[2]);
-}
-
-struct Interval {
-    double low, high;
-};
-
-// Encloses the world distance. With u = 2^-53: a difference of offsets errs by u of itself, adding the integer difference
-// of voxels by u of the sum, product and sums by 4 u of the terms, squares, sums and root by 4 u of the result, so that
-// 16 u of all terms is more than enough; the last term covers denormal steps.
-Interval distanceInterval(const StoredPoint& a, const StoredPoint& b, const Matrix3& m)
-{
-    double component[3] = {0, 0, 0}, terms = 0;
-    for (std::size_t c = 0; c < 3; ++c) {
-        const auto voxels = static_cast<double>(b.voxel[c] - a.voxel[c]);
-        const double offset = b.offset[c] - a.offset[c];
-        for (std::size_t k = 0; k < 3; ++k) {
-            component[k] += m[k][c] * (voxels + offset);
-            terms += std::fabs(m[k][c]) * (std::fabs(voxels + offset) + std::fabs(offset));
-        }
-    }
-    const double distance = std::hypot(component[0], component[1], component[2]);
-    const double error = 16 * 0x1p-53 * terms + 0x1p-1068;
-    return {std::max(0.0, distance - error), distance + error};
-}
-
 } // namespace
 
 void RowChecker::add(Fault fault, std::uint64_t query, std::int64_t neighbor, float fileValue)
@@ -74,17 +46,19 @@ void RowChecker::add(Fault fault, std::uint64_t query, std::int64_t neighbor, fl
     keepExample(finding.examples, example, mMaxExamples);
 }
 
-void RowChecker::check(std::uint32_t query, const std::vector<std::uint32_t>& expected)
+void RowChecker::check(std::uint32_t query, const std::vector<std::uint32_t>& within)
 {
+    expect(query, within);
     mLists->readRow(query, mListed, mValues);
     ++mReport.queries;
     mReport.listedPairs += mListed.size();
-    mReport.expectedPairs += expected.size();
-    if (!compareRow(query, expected)) {
+    mReport.expectedPairs += mExpected.size();
+    checkOrder(query);
+    if (!compareRow(query)) {
         // The values of true neighbors alone can be judged.
         std::size_t kept = 0;
         for (std::size_t k = 0; k < mListed.size(); ++k) {
-            if (!std::binary_search(expected.begin(), expected.end(), mListed[k])) continue;
+            if (!std::binary_search(mExpected.begin(), mExpected.end(), mListed[k])) continue;
             mListed[kept] = mListed[k];
             mValues[kept++] = mValues[k];
         }
@@ -94,25 +68,62 @@ void RowChecker::check(std::uint32_t query, const std::vector<std::uint32_t>& ex
     checkValues(query);
 }
 
-bool RowChecker::compareRow(std::uint32_t query, const std::vector<std::uint32_t>& expected)
+bool RowChecker::mayListItself() const
 {
-    mRow.clear();
-    bool sorted = true;
-    for (std::size_t k = 0; k < mListed.size(); ++k) {
-        const std::int64_t neighbor = mListed[k];
-        if (k > 0 && neighbor < mListed[k - 1]) {
-            add(Fault::kUnsorted, query, neighbor);
-            sorted = false;
+    return !mJudge->isOneSet() || mJudge->terms().includeSelf;
+}
+
+void RowChecker::expect(std::uint32_t query, const std::vector<std::uint32_t>& within)
+{
+    const SearchTerms& terms = mJudge->terms();
+    mExpected = within;
+    if (terms.nearest > 0) mOrder.keepNearest(query, terms.nearest, mExpected);
+    if (terms.includeSelf && mJudge->isOneSet() && mJudge->isQuery(query) && mJudge->isCandidate(query))
+        mExpected.insert(std::lower_bound(mExpected.begin(), mExpected.end(), query), query);
+    if (!terms.byDistance) return;
+    mInOrder = mExpected;
+    mOrder.sort(query, mInOrder);
+}
+
+// By number any entry that is smaller than the one before it is out of order; by distance, of those that are expected, one
+// that should stand before the last of them.
+void RowChecker::checkOrder(std::uint32_t query)
+{
+    if (!mJudge->terms().byDistance) {
+        for (std::size_t k = 1; k < mListed.size(); ++k) {
+            if (mListed[k] < mListed[k - 1]) add(Fault::kUnsorted, query, mListed[k]);
         }
-        if (neighbor < 0 || static_cast<std::uint64_t>(neighbor) >= mPointCount) {
+        return;
+    }
+    const bool isAsExpected = mListed.size() == mInOrder.size() &&
+                              std::equal(mListed.begin(), mListed.end(), mInOrder.begin(),
+                                         [](std::int64_t a, std::uint32_t b) { return a == b; });
+    if (isAsExpected) return;
+    std::unordered_map<std::int64_t, std::size_t> places;
+    for (std::size_t k = 0; k < mInOrder.size(); ++k) places[mInOrder[k]] = k;
+    std::size_t last = 0;
+    for (const std::int64_t neighbor : mListed) {
+        const auto found = places.find(neighbor);
+        if (found == places.end()) continue;
+        if (found->second < last) add(Fault::kUnsorted, query, neighbor);
+        last = found->second;
+    }
+}
+
+bool RowChecker::compareRow(std::uint32_t query)
+{
+    const std::vector<std::uint32_t>& expected = mExpected;
+    mRow.clear();
+    for (const std::int64_t neighbor : mListed) {
+        if (neighbor < 0 || static_cast<std::uint64_t>(neighbor) >= mJudge->candidateCount()) {
             add(Fault::kOutOfRange, query, neighbor);
-        } else if (neighbor == query) {
+        } else if (neighbor == query && !mayListItself()) {
             add(Fault::kSelf, query, neighbor);
         } else {
             mRow.push_back(static_cast<std::uint32_t>(neighbor));
         }
     }
-    if (!sorted) std::sort(mRow.begin(), mRow.end());
+    if (!std::is_sorted(mRow.begin(), mRow.end())) std::sort(mRow.begin(), mRow.end());
     if (mRow == expected) return mRow.size() == mListed.size();
     auto wanted = expected.begin();
     for (std::size_t k = 0; k < mRow.size(); ++k) {
@@ -141,11 +152,8 @@ void RowChecker::checkValues(std::uint32_t query)
         }
         return;
     }
-    if (mListed.empty()) return;
-    const StoredPoint point = mJudge->point(query);
     for (std::size_t k = 0; k < mListed.size(); ++k) {
-        const StoredPoint other = mJudge->point(static_cast<std::uint64_t>(mListed[k]));
-        const Interval distance = distanceInterval(point, other, mJudge->linear());
+        const Interval distance = mJudge->distance(query, static_cast<std::uint64_t>(mListed[k]));
         const bool right = mValues[k] >= static_cast<float>(distance.low) &&
                            mValues[k] <= static_cast<float>(distance.high); // a NaN is wrong
         if (!right) add(Fault::kWrongDistance, query, mListed[k], mValues[k]);
@@ -173,10 +181,9 @@ VerifyReport RowChecker::finish() const
         for (FaultExample& example : finding.examples) {
             example.distance = example.ulps = std::numeric_limits<double>::quiet_NaN();
             const auto neighbor = static_cast<std::uint64_t>(example.neighbor);
-            if (example.neighbor < 0 || neighbor >= mPointCount) continue;
-            const StoredPoint a = mJudge->point(example.query), b = mJudge->point(neighbor);
-            if (!isFinite(a) || !isFinite(b)) continue;
-            const PairDistance pair = describeDistance(a, b, mJudge->linear(), mJudge->radius());
+            if (example.neighbor < 0 || neighbor >= mJudge->candidateCount()) continue;
+            if (!mJudge->isFiniteQuery(example.query) || !mJudge->isFiniteCandidate(neighbor)) continue;
+            const PairDistance pair = mJudge->describe(example.query, neighbor);
             example.distance = pair.distance;
             example.ulps = pair.ulps;
         }
