@@ -22,17 +22,15 @@ inline float scoreOf(std::uint32_t bits)
 class NearestCut {
 public:
     NearestCut(const SearchContext& context, const ExactPredicate& exact, HaloScratch& scratch)
-        : mMost(context.sets.nearest), mDoubt(context.sets.nearestDoubt), mExact(exact), mScratch(scratch)
+        : mDoubt(context.sets.nearestDoubt), mExact(exact), mScratch(scratch)
     {
     }
 
-    std::uint32_t most() const { return mMost; }
-
-    // Writes the nearest of a row of more than `most` to `out`, which has room for a whole vector more. `scores` are changed.
+    // Writes the nearest `most` of a row of more to `out`, which has room for a whole vector more. `scores` are changed.
     void cut(std::uint32_t query, const std::uint32_t* numbers, std::uint32_t* scores, std::uint32_t count,
-             std::uint32_t* out) const
+             std::uint32_t most, std::uint32_t* out) const
     {
-        const float last = scoreOf(lastKept(scores, count));
+        const float last = scoreOf(lastKept(scores, count, most));
         const float surely = last - mDoubt, surelyNot = last + mDoubt;
         // Lanes past the end of the row must say no.
         Simd::store(scores + count, Simd::set(0));
@@ -46,8 +44,8 @@ public:
             doubtful += static_cast<std::uint32_t>(
                 __builtin_popcount(Simd::lessEqual(score, above) & isNegative & ~in));
         }
-        if (sure + doubtful > mMost) {
-            cutExactly(query, numbers, scores, count, surely, surelyNot, mMost - sure, out);
+        if (sure + doubtful > most) {
+            cutExactly(query, numbers, scores, count, surely, surelyNot, most - sure, out);
             return;
         }
         for (std::uint32_t i = 0; i < count; i += Simd::kLanes) {
@@ -60,16 +58,16 @@ public:
 
 private:
     // The score of the last of the nearest.
-    std::uint32_t lastKept(const std::uint32_t* scores, std::uint32_t count) const
+    std::uint32_t lastKept(const std::uint32_t* scores, std::uint32_t count, std::uint32_t most) const
     {
-        if (mMost == 1) {
+        if (most == 1) {
             std::uint32_t nearest = 0;
             for (std::uint32_t i = 0; i < count; ++i) nearest = scores[i] > nearest ? scores[i] : nearest;
             return nearest;
         }
         std::uint32_t* const sorted = mScratch.sortedScores();
         sortRow(scores, count, sorted, mScratch.cutScratch());
-        return sorted[count - mMost];
+        return sorted[count - most];
     }
 
     // Takes `wanted` of those between the two scores, the nearest.
@@ -132,7 +130,6 @@ private:
         }
     }
 
-    std::uint32_t mMost;
     float mDoubt;
     const ExactPredicate& mExact;
     HaloScratch& mScratch;
@@ -181,10 +178,13 @@ struct NearestRows {
         {
             const Row begin = rows.emptyRow(place);
             const auto found = static_cast<std::uint32_t>(row.numbers - begin.numbers);
-            const std::uint32_t count = found < rows.cut.most() ? found : rows.cut.most();
+            const std::uint32_t query = rows.context.sets.queries.number[slot];
+            const std::uint32_t most =
+                rows.context.sets.nearest + (rows.context.sets.addsSelf && keepSelf(query, begin, found));
+            const std::uint32_t count = found < most ? found : most;
             std::uint32_t* const out = rows.target.reserve(count + Simd::kLanes);
             if (found > count) {
-                rows.cut.cut(rows.numberOf(slot), begin.numbers, begin.scores, found, out);
+                rows.cut.cut(query, begin.numbers, begin.scores, found, most, out);
                 ++rows.statistics.shortened;
             } else {
                 for (std::uint32_t k = 0; k < count; k += Simd::kLanes) {
@@ -193,6 +193,18 @@ struct NearestRows {
             }
             rows.note(slot++, rows.target.commit(count), count);
             return count;
+        }
+
+        // Makes the query the nearest of its row, if it stands there.
+        static bool keepSelf(std::uint32_t query, Row row, std::uint32_t count)
+        {
+            constexpr std::uint32_t kNearestScore = 0xff7fffffu; // the lowest float
+            for (std::uint32_t i = 0; i < count; ++i) {
+                if (row.numbers[i] != query) continue;
+                row.scores[i] = kNearestScore;
+                return true;
+            }
+            return false;
         }
     };
 
@@ -209,7 +221,6 @@ struct NearestRows {
 
     void finish() { target.finish(); }
 
-    std::uint32_t numberOf(std::uint32_t slot) const { return context.sets.queries.number[slot]; }
     Row emptyRow(int place) const { return {scratch.uncutNumbers(place), scratch.uncutScores(place)}; }
 
     void note(std::uint32_t slot, std::uint32_t* row, std::uint32_t count)

@@ -86,6 +86,7 @@ SearchContext contextOf(const SearchSetsData& sets, const SearchPart& part, cons
     context.sets.queryFar = part.queryFar ? part.queryFar->data() : nullptr;
     context.sets.candidateFar = part.candidateFar ? part.candidateFar->data() : nullptr;
     context.sets.excludesSelf = sets.areSameParticles() && !options.includeSelf;
+    context.sets.addsSelf = options.includeSelf;
     context.sets.nearest = options.nearest;
     context.sets.nearestDoubt = part.nearestDoubt;
     return context;
