@@ -14,6 +14,7 @@ namespace vdb_nns {
 
 struct NeighborListsData; // src/lists/neighbor_lists_data.h
 class ParticleView;
+class SearchSets;
 class SparseGrid;
 
 /// Neighbor lists as compressed sparse rows: row i is indices[offsets[i]] to indices[offsets[i+1]],
@@ -23,37 +24,39 @@ struct Csr {
     std::vector<std::uint32_t> indices;
 };
 
+/// Over the finite queries. A query in its own list is a pair, and else counts nowhere.
 struct ListStatistics {
-    std::uint64_t pairs = 0;    ///< ordered pairs (query, neighbor)
-    std::uint32_t min = 0;      ///< fewest neighbors of a particle
-    double mean = 0;            ///< pairs / particles; 0 without particles
-    std::uint32_t max = 0;      ///< most neighbors of a particle
-    std::uint64_t isolated = 0; ///< particles without a neighbor, non-finite ones included
+    std::uint64_t pairs = 0;     ///< ordered pairs (query, neighbor)
+    std::uint32_t min = 0;       ///< fewest neighbors of a query
+    double mean = 0;             ///< of the neighbors of a query; 0 without queries
+    std::uint32_t max = 0;       ///< most neighbors of a query
+    std::uint64_t isolated = 0;  ///< queries without a neighbor
+    std::uint64_t shortened = 0; ///< queries that had more neighbors than the nearest that were asked for
 };
 
 /// The result of a search: the neighbors of every particle. Immutable; a cheap handle whose copies share the
 /// data. The data stays valid while any handle lives, whatever the engine that made it does next. Safe to
 /// read from several threads, and from inside parallel work (search.h).
 ///
-/// The number i of a particle must be below size(); that is not checked.
+/// The number i of a query must be below size(); that is not checked.
 ///
-/// A list holds particle numbers of the ParticleView in cell-visiting order: by the neighbor's cell, (x, y,
-/// z) lexicographic, and by number inside a cell. The order is the same for both encodings. A particle is not
-/// in its own list; others at the same place are.
+/// A list holds numbers of the candidates' view in cell-visiting order: by the neighbor's cell, (x, y,
+/// z) lexicographic, and by number inside a cell. The order is the same for both encodings. Unless asked for
+/// (SearchOptions::includeSelf), a particle is not in its own list; others at the same place are.
 class NeighborLists {
 public:
     NeighborLists();
     explicit NeighborLists(std::shared_ptr<const NeighborListsData> data);
 
-    std::size_t size() const; ///< particles, non-finite ones included
+    std::size_t size() const; ///< particles of the queries' view: queries or not, finite or not
     Encoding encoding() const;
     std::uint64_t pairCount() const;
     const ListStatistics& statistics() const;
 
-    /// Number of neighbors of particle i. Constant time.
+    /// Number of neighbors of query i, itself not included. Constant time.
     std::uint32_t count(std::size_t i) const;
 
-    /// Counts of all particles, by particle number.
+    /// count() of all, by number.
     std::vector<std::uint32_t> counts() const;
 
     /// The list of particle i, if lists are stored as numbers: a view of their own memory, valid while a
@@ -82,7 +85,7 @@ public:
 
     using RowVisitor = std::function<void(std::uint32_t query, Span<const std::uint32_t> neighbors)>;
 
-    /// Calls `visit` once for every finite particle with its list: the fastest way to read all lists. The
+    /// Calls `visit` once for every query that is finite and near any candidate, with its list: the fastest way to read all lists. The
     /// work is split in storage order over the caller's TBB arena, so `visit` is called from several threads
     /// at once. The span is valid during the call.
     /// @throws InvalidInput with encoding kNone, and whatever `visit` throws
@@ -101,10 +104,11 @@ public:
     /// Bytes of the lists themselves: indices or masks, offsets and counts.
     std::uint64_t bytes() const;
 
-    /// The particles and the grid that the lists were made from.
-    const ParticleView& view() const;
-    const SparseGrid& grid() const;
-    double radius() const; ///< of the search that made them, in world units; at most grid().radius()
+    /// What the lists were made from.
+    const SearchSets& sets() const;
+    const ParticleView& view() const; ///< of the candidates
+    SparseGrid grid() const;          ///< of the candidates, on the lattice of the largest radius
+    double radius() const;            ///< of the search that made them, the largest; world units
 
     const NeighborListsData& data() const { return *mData; }
 

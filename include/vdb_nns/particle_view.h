@@ -19,6 +19,14 @@ struct StoredPosition {
     std::int64_t voxel[3];
     /// Grids: the value of P, a float, in voxels. Arrays: the position, in world units.
     double offset[3];
+
+    friend bool operator==(const StoredPosition& a, const StoredPosition& b)
+    {
+        for (int k = 0; k < 3; ++k) {
+            if (a.voxel[k] != b.voxel[k] || a.offset[k] != b.offset[k]) return false;
+        }
+        return true;
+    }
 };
 
 /// A cheap handle to positions that are viewed, not copied: they must stay alive and unchanged while the

@@ -142,13 +142,31 @@ enum class ListValues {
     kDistance      ///< float32 world distances
 };
 
-/// Writes lists as a SciPy CSR matrix: an uncompressed ZIP with the members indptr (int64), indices (int32,
-/// or int64 past 2^31-1 particles; ascending in each row), data, shape (int64[2]) and format (|S3), each of
-/// which starts on a 64-byte boundary. Memory does not grow with the lists. The same lists give the same
+/// How the numbers of a written row are ordered.
+enum class RowOrder {
+    kNumber,  ///< ascending
+    kDistance ///< the nearest first, decided in real arithmetic; those as far by number
+};
+
+/// What a written list is like.
+struct ListForm {
+    ListValues values = ListValues::kConnectivity;
+    RowOrder order = RowOrder::kNumber;
+
+    ListForm() = default;
+    ListForm(ListValues listValues, RowOrder rowOrder = RowOrder::kNumber) // NOLINT: values alone say enough
+        : values(listValues), order(rowOrder)
+    {
+    }
+};
+
+/// Writes lists as a SciPy CSR matrix of a row for each particle of the queries' view and a column for each of the
+/// candidates': an uncompressed ZIP with the members indptr (int64), indices (int32, or int64 past 2^31-1 columns),
+/// data, shape (int64[2]) and format (|S3), each of which starts on a 64-byte boundary. Memory does not grow with the lists. The same lists give the same
 /// bytes.
 /// @throws InvalidInput for counts alone; OutputExists, OutputError (before anything is written, if the disk
 ///         does not have the room), Cancelled
-void writeNpz(const std::string& path, const NeighborLists& lists, ListValues values,
+void writeNpz(const std::string& path, const NeighborLists& lists, const ListForm& form,
               const OutputOptions& options = {}, Progress* progress = nullptr);
 
 /// Writes the file that writeNpz() would write, but no memory has to hold the lists: their rows are made
@@ -165,8 +183,8 @@ void writeNpz(const std::string& path, const NeighborLists& lists, ListValues va
 /// @param options of the search; `encoding` and `hostMemoryBytes` are not read.
 /// @throws OutputExists, OutputError (the latter also before anything is written, if the disk does not have
 ///         the room), Cancelled, and whatever SearchEngine::visitRows() throws
-void streamNpz(const std::string& path, SearchEngine& engine, const NeighborLists& counts, ListValues values,
-               const OutputOptions& output = {}, std::uint64_t bufferBytes = 0,
+void streamNpz(const std::string& path, SearchEngine& engine, const NeighborLists& counts,
+               const ListForm& form, const OutputOptions& output = {}, std::uint64_t bufferBytes = 0,
                const SearchOptions& options = {});
 
 } // namespace vdb_nns

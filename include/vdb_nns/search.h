@@ -3,8 +3,10 @@
 
 #include "vdb_nns/lattice.h"
 #include "vdb_nns/neighbor_lists.h"
+#include "vdb_nns/particle_set.h"
 #include "vdb_nns/particle_view.h"
 #include "vdb_nns/search_options.h"
+#include "vdb_nns/search_sets.h"
 #include "vdb_nns/sparse_grid.h"
 
 #include <functional>
@@ -21,8 +23,8 @@ struct JobOptions; // search_job.h
 struct JobReport;
 struct JobPlan;
 
-/// Called once for every finite particle, with its number, its neighbors and their world distances
-/// (ParticleView::distance), in cell-visiting order. Called from several threads at once; the spans are valid
+/// Called once for every query that is finite and near any candidate, with its number, its neighbors and their
+/// world distances (of two views with one transform as ParticleView::distance()), in cell-visiting order. Called from several threads at once; the spans are valid
 /// during the call. A visitor may run parallel work of its own, and searches with other engines: until it
 /// returns, its thread is given no other query.
 using NeighborVisitor = std::function<void(std::uint32_t query, Span<const std::uint32_t> neighbors,
@@ -50,7 +52,8 @@ struct SearchStatistics {
 ///
 /// Membership, in all functions here: i and j are neighbors iff i != j and their distance is <= radius in
 /// real arithmetic; no rounding decides. A particle is excluded from its own list by number, so particles at
-/// the same place are neighbors.
+/// the same place are neighbors. Of two views, the distance is that of the exact world positions, and nobody is
+/// excluded.
 class SearchEngine {
 public:
     SearchEngine();
@@ -80,9 +83,29 @@ public:
     /// @throws CapacityError, Cancelled
     SparseGrid buildGrid(const ParticleView& view, const Lattice& lattice, const SearchOptions& options = {});
 
-    /// Makes the lists of all particles of a grid, in options.encoding, with options.radius.
+    /// Sorts two sets for a radius, or for radii of particles: on the lattice that suits the candidates; on several
+    /// where the queries have radii that differ by more than a factor of two, a pass over all candidates each. Arrays
+    /// of the sets and the radius must stay alive and unchanged as long as what is made from them is used.
+    /// Cost: of the queries as buildGrid(); of the candidates those near a query, and a look at the others.
+    /// @throws InvalidInput for a bad radius, arrays of another size than their view, radii that are missing, or a
+    ///         bad option; and as buildGrid(): InputError if the queries reach too far, CapacityError, Cancelled
+    SearchSets sort(const ParticleSet& candidates, const ParticleSet& queries, const Radius& radius,
+                    const SearchOptions& options = {});
+
+    /// Makes the lists of all queries, in options.encoding.
+    /// @param options `radius` may be smaller than that of the sets, where one serves all; `cellSize` and `nonfinite`
+    ///        are not read.
     /// @throws CapacityError if the lists cannot fit, before the memory is gone
-    /// @throws InvalidInput for a radius above that of the grid's lattice, or a bad option; Cancelled
+    /// @throws InvalidInput for a radius above that of the sets, or a bad option; Cancelled
+    NeighborLists search(const SearchSets& sets, const SearchOptions& options = {});
+
+    /// sort(), then search(): the neighbors of the queries among the candidates.
+    /// @throws as those
+    NeighborLists search(const ParticleSet& candidates, const ParticleSet& queries, const Radius& radius,
+                         const SearchOptions& options = {});
+
+    /// The same for all particles of a grid.
+    /// @throws as above
     NeighborLists search(const SparseGrid& grid, const SearchOptions& options = {});
 
     /// Runs a schedule of makeSchedule() on `devices`, which must be those that it was made for, and on TBB
@@ -102,11 +125,11 @@ public:
     /// Gives each query's neighbors to a visitor, without storing lists.
     /// @param options `encoding` has no meaning here; `hostMemoryBytes` is not read.
     /// @throws InvalidInput as search(), Cancelled, and whatever `visitor` throws
-    void visit(const SparseGrid& grid, const NeighborVisitor& visitor, const SearchOptions& options = {});
+    void visit(const SearchSets& sets, const NeighborVisitor& visitor, const SearchOptions& options = {});
 
     /// The same without distances.
     /// @throws as visit() does
-    void visitRows(const SparseGrid& grid, const RowVisitor& visitor, const SearchOptions& options = {});
+    void visitRows(const SearchSets& sets, const RowVisitor& visitor, const SearchOptions& options = {});
 
     /// buildGrid(), then search().
     NeighborLists findNeighbors(const ParticleView& view, double radius, const SearchOptions& options = {});
@@ -122,6 +145,12 @@ public:
     ///         InputError, Cancelled
     NeighborLists findNeighbors(const ParticleView& view, double radius, const JobOptions& options,
                                 JobReport& report);
+
+    /// The same for the neighbors of queries among candidates. On the CPU alone, unless both are all particles of one view and
+    /// one radius serves all.
+    /// @throws as the job, and as sort(); InvalidInput for devices that cannot search such sets
+    NeighborLists findNeighbors(const ParticleSet& candidates, const ParticleSet& queries,
+                                const Radius& radius, const JobOptions& options, JobReport& report);
 
     /// Plans a job without running it, in full, also for the CPU alone. Whether lists fit the host is not looked
     /// at, so no fallback is planned.
@@ -150,10 +179,14 @@ std::vector<std::uint32_t> countNeighbors(const ParticleView& view, double radiu
 void visitNeighbors(const ParticleView& view, double radius, const NeighborVisitor& visitor,
                     const SearchOptions& options = {});
 
-/// Number of pairs of a query and a particle in the cells within reach of its own, itself included. That is
+/// The neighbors of the queries among the candidates, with a temporary engine; see SearchEngine.
+NeighborLists search(const ParticleSet& candidates, const ParticleSet& queries, const Radius& radius,
+                     const SearchOptions& options = {});
+
+/// Number of pairs of a query and a candidate in the cells within reach of its own, itself included. That is
 /// what the search would test without any pruning, and the number of bits of all mask rows. Cost: one pass
 /// over the occupied cells.
-std::uint64_t countCandidateTests(const SparseGrid& grid);
+std::uint64_t countCandidateTests(const SearchSets& sets);
 
 /// The widest instruction set of this processor for which the search has code.
 SimdLevel bestSimdLevel();

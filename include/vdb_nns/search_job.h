@@ -26,7 +26,7 @@ struct WrittenKinds {
 /// An .npz file that is to be written while its rows are found.
 struct NpzTarget {
     std::string path;
-    ListValues values = ListValues::kConnectivity;
+    ListForm form;
     OutputOptions output;
     bool checksum = false; ///< of all pairs, for the report
 };
@@ -83,6 +83,6 @@ struct JobPlan {
 /// @param report of the job that made `lists`
 /// @throws as those; InvalidInput for counts that the report does not say to stream
 void writeJobNpz(const std::string& path, SearchEngine& engine, const NeighborLists& lists,
-                 const JobReport& report, ListValues values, const OutputOptions& output);
+                 const JobReport& report, const ListForm& form, const OutputOptions& output);
 
 } // namespace vdb_nns

@@ -50,6 +50,14 @@ struct SearchOptions {
     /// false if hostMemoryBytes is set.
     bool wideCells = true;
 
+    /// Of each list only so many neighbors are kept, the nearest; those of equal distance by the smaller number. Decided in
+    /// real arithmetic. 0: all. Not with Encoding::kMask. Lists stay in cell-visiting order.
+    std::uint32_t nearest = 0;
+
+    /// Puts a finite query that is a candidate too into its own list. It counts as a pair, not as a neighbor, and not among
+    /// the nearest. Only where both sets are the same particles.
+    bool includeSelf = false;
+
     NonFinite nonfinite = NonFinite::kSkip;
 
     /// kBest takes the widest that the processor has. A level that it does not have is InvalidInput.

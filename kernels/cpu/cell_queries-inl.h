@@ -29,8 +29,9 @@ struct SlotRange {
     std::uint32_t count() const { return end - begin; }
 };
 
-// Calls f(lowest, cell, first slot) for each cell with queries of the task; `lowest` points into the halo's cube at the
-// cell of the same column that is `reach` below.
+// Calls f(lowest, cell, first slot) for each cell with queries of the task, which are of `block`; `lowest` points into the
+// halo's cube at the cell of the same column that is `reach` below. `cell.firstQuery` is where they stand if they are candidates
+// of the halo too.
 template <typename F>
 inline void forEachCell(const BlockView& block, const SearchTask& task, const HaloScratch& halo, F&& f)
 {

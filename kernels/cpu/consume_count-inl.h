@@ -12,7 +12,10 @@ struct CountRows {
     struct Row {
         std::uint32_t count = 0;
 
-        void take(Simd::I, Simd::Mask hits) { count += static_cast<std::uint32_t>(__builtin_popcount(hits)); }
+        void take(Simd::I, Simd::I, Simd::Mask hits)
+        {
+            count += static_cast<std::uint32_t>(__builtin_popcount(hits));
+        }
     };
 
     struct Group {

@@ -16,7 +16,7 @@ struct IndexRows {
         std::uint32_t* out;
 
         // Writes a whole vector; the next one overwrites what is no hit.
-        void take(Simd::I numbers, Simd::Mask hits)
+        void take(Simd::I numbers, Simd::I, Simd::Mask hits)
         {
             Simd::store(out, Simd::compress(numbers, Simd::order(hits)));
             out += __builtin_popcount(hits);

@@ -16,13 +16,13 @@ inline std::uint32_t rowWordsOf(std::uint32_t candidates)
     return (candidates + kRowWordBits - 1) / kRowWordBits;
 }
 
-// Of all rows of a task whose halo has been filled.
-inline std::size_t rowWordsOf(const BlockView& block, const SearchTask& task, const HaloScratch& scratch)
+// Of all rows of a task whose halo has been filled. `queries`: the block that they are of.
+inline std::size_t rowWordsOf(const BlockView& queries, const SearchTask& task, const HaloScratch& scratch)
 {
     std::size_t words = 0;
-    forEachCell(block, task, scratch,
+    forEachCell(queries, task, scratch,
                 [&](const std::uint32_t* lowest, const CellSearch& cell, std::uint32_t) {
-                    words += std::size_t(cell.queries) * rowWordsOf(candidatesOf(block.reach, lowest));
+                    words += std::size_t(cell.queries) * rowWordsOf(candidatesOf(queries.reach, lowest));
                 });
     return words;
 }
@@ -47,7 +47,7 @@ struct HitWriter {
 
     explicit HitWriter(std::uint64_t* out) : words(out) {}
 
-    void take(Simd::I, Simd::Mask hits)
+    void take(Simd::I, Simd::I, Simd::Mask hits)
     {
         if constexpr (Simd::kLanes >= 8) {
             std::memcpy(bytes, &hits, Simd::kLanes / 8);

@@ -30,12 +30,12 @@ inline std::uint32_t candidatesOf(int reach, const std::uint32_t* lowest)
     return candidates;
 }
 
-inline QueryBounds boundsOf(const FilterBounds& bounds, const HaloScratch& halo, std::uint32_t first,
+// `x`, `y`, `z`: of the queries, about the centre of their leaf. `reachable`: no neighbor of theirs is farther.
+inline QueryBounds boundsOf(float reachable, const float* x, const float* y, const float* z,
                             std::uint32_t count)
 {
     // Whole vectors, the last of them overlapping, or one vector filled up with the first query.
-    const auto forEachVector = [first, count](const char* array, auto&& f) {
-        const float* const in = floats(array) + first;
+    const auto forEachVector = [count](const float* in, auto&& f) {
         if (count < NarrowSimd::kLanes)
             return f(firstLanesOr(NarrowSimd::load(in), count, NarrowSimd::set(*in)));
         for (std::uint32_t i = 0; i + NarrowSimd::kLanes < count; i += NarrowSimd::kLanes)
@@ -43,28 +43,26 @@ inline QueryBounds boundsOf(const FilterBounds& bounds, const HaloScratch& halo,
         f(NarrowSimd::load(in + count - NarrowSimd::kLanes));
     };
     NarrowSimd::F center[3], half[3];
+    float middle[3];
+    const float* const coordinates[3] = {x, y, z};
     for (int k = 0; k < 3; ++k) {
-        const char* const array = halo.halo() + k * halo.stride;
-        NarrowSimd::F low = NarrowSimd::set(floats(array)[first]), high = low;
-        forEachVector(array, [&](NarrowSimd::F v) {
+        NarrowSimd::F low = NarrowSimd::set(*coordinates[k]), high = low;
+        forEachVector(coordinates[k], [&](NarrowSimd::F v) {
             low = NarrowSimd::min(low, v);
             high = NarrowSimd::max(high, v);
         });
         // The half size must cover each |fl(q - centre)|; rounding is monotonic, so the ends' own roundings do.
         const float l = minOfLanes(low), h = maxOfLanes(high), c = 0.5f * (l + h), a = h - c, b = c - l;
+        middle[k] = c;
         center[k] = NarrowSimd::set(c);
         half[k] = NarrowSimd::set(a > b ? a : b);
     }
     NarrowSimd::F most = NarrowSimd::set(0.0f);
-    const std::size_t stride = halo.stride;
-    const float* const x = floats(halo.halo()) + first;
     for (std::uint32_t i = 0;; i += NarrowSimd::kLanes) {
         if (i + NarrowSimd::kLanes >= count) i = count > NarrowSimd::kLanes ? count - NarrowSimd::kLanes : 0;
-        const char* const p = reinterpret_cast<const char*>(x + i);
-        const NarrowSimd::F length =
-            squaredLength(NarrowSimd::sub(NarrowSimd::load(floats(p)), center[0]),
-                          NarrowSimd::sub(NarrowSimd::load(floats(p + stride)), center[1]),
-                          NarrowSimd::sub(NarrowSimd::load(floats(p + 2 * stride)), center[2]));
+        const NarrowSimd::F length = squaredLength(NarrowSimd::sub(NarrowSimd::load(x + i), center[0]),
+                                                   NarrowSimd::sub(NarrowSimd::load(y + i), center[1]),
+                                                   NarrowSimd::sub(NarrowSimd::load(z + i), center[2]));
         most = NarrowSimd::max(
             most, count < NarrowSimd::kLanes ? firstLanesOr(length, count, NarrowSimd::set(0.0f)) : length);
         if (i + NarrowSimd::kLanes >= count) break;
@@ -75,8 +73,9 @@ inline QueryBounds boundsOf(const FilterBounds& bounds, const HaloScratch& halo,
             half[0],
             half[1],
             half[2],
-            NarrowSimd::set(keepSquared(bounds, maxOfLanes(most))),
-            NarrowSimd::set(keepSquared(bounds, 0))};
+            NarrowSimd::set(keepSquared(reachable, maxOfLanes(most))),
+            NarrowSimd::set(keepSquared(reachable, 0)),
+            {middle[0], middle[1], middle[2]}};
 }
 
 // Bits one after the other into 64-bit words. Fewer than 64 at a time.
@@ -101,8 +100,15 @@ struct BitWriter {
 
 constexpr NarrowSimd::Mask kAllNarrowLanes = (1u << NarrowSimd::kLanes) - 1;
 
+// What is gathered besides the candidates near the ball.
+template <bool kBitsOf, bool kFarOf>
+struct Gathered {
+    static constexpr bool kBits = kBitsOf; // a bit for each candidate of the cells in reach: kept or not
+    static constexpr bool kFar = kFarOf;   // radii of candidates
+};
+
 // One vector of candidates at `p`, of which `valid` count: keeps those near the ball, behind `kept`.
-template <bool kBits, bool kBox>
+template <typename What, bool kBox>
 inline char* gatherVector(const QueryBounds& where, const char* p, std::size_t stride, NarrowSimd::Mask valid,
                           unsigned count, char* kept, BitWriter& bits)
 {
@@ -111,7 +117,7 @@ inline char* gatherVector(const QueryBounds& where, const char* p, std::size_t s
     const NarrowSimd::F pz = NarrowSimd::sub(NarrowSimd::load(floats(p + 2 * stride)), where.centerZ);
     const NarrowSimd::F length = squaredLength(px, py, pz);
     const NarrowSimd::Mask mask = where.near<kBox>(px, py, pz, length) & valid;
-    if constexpr (kBits) bits.append(mask, count);
+    if constexpr (What::kBits) bits.append(mask, count);
     const NarrowSimd::Order order = NarrowSimd::order(mask);
     NarrowSimd::store(floats(kept), NarrowSimd::compress(px, order));
     NarrowSimd::store(floats(kept + stride), NarrowSimd::compress(py, order));
@@ -119,24 +125,29 @@ inline char* gatherVector(const QueryBounds& where, const char* p, std::size_t s
     NarrowSimd::store(floats(kept + 4 * stride), NarrowSimd::compress(length, order));
     NarrowSimd::store(integers(kept + 8 * stride),
                       NarrowSimd::compress(NarrowSimd::load(integers(p + 4 * stride)), order));
+    if constexpr (What::kFar) {
+        NarrowSimd::store(floats(kept + 12 * stride),
+                          NarrowSimd::compress(NarrowSimd::load(floats(p + 8 * stride)), order));
+    }
     return kept + static_cast<std::size_t>(__builtin_popcount(mask)) * sizeof(float);
 }
 
 // The candidates of one run of cells. Returns where the next kept one goes.
-template <bool kBits, bool kBox>
+template <typename What, bool kBox>
 inline char* gatherRun(const QueryBounds& where, const char* halo, std::size_t stride, std::uint32_t begin,
                        std::uint32_t end, char* kept, BitWriter& bits)
 {
     const char* p = halo + std::size_t(begin) * sizeof(float);
     std::uint32_t left = end - begin;
     for (; left >= NarrowSimd::kLanes; left -= NarrowSimd::kLanes, p += NarrowSimd::kLanes * sizeof(float)) {
-        kept = gatherVector<kBits, kBox>(where, p, stride, kAllNarrowLanes, NarrowSimd::kLanes, kept, bits);
+        kept = gatherVector<What, kBox>(where, p, stride, kAllNarrowLanes, NarrowSimd::kLanes, kept, bits);
     }
-    if (left > 0) kept = gatherVector<kBits, kBox>(where, p, stride, (1u << left) - 1, left, kept, bits);
+    if (left > 0) kept = gatherVector<What, kBox>(where, p, stride, (1u << left) - 1, left, kept, bits);
     return kept;
 }
 
-template <bool kBits, bool kBox>
+// kSelf: the queries are candidates of the halo, and cell.self is wanted.
+template <typename What, bool kBox, bool kSelf>
 void gatherRuns(const QueryBounds& where, HaloScratch& scratch, int reach, const std::uint32_t* lowest,
                 CellSearch& cell)
 {
@@ -152,17 +163,18 @@ void gatherRuns(const QueryBounds& where, HaloScratch& scratch, int reach, const
             std::uint32_t begin = run[0];
             const std::uint32_t end = run[2 * reach + 1];
             candidates += end - begin;
-            if (dx == 0 && dy == 0) {
+            if (kSelf && dx == 0 && dy == 0) {
                 // In two parts, to learn where the first query stands among the kept.
-                kept = gatherRun<kBits, kBox>(where, halo, stride, begin, cell.firstQuery, kept, bits);
+                kept = gatherRun<What, kBox>(where, halo, stride, begin, cell.firstQuery, kept, bits);
                 cell.self = static_cast<std::uint32_t>((kept - scratch.kept()) / sizeof(float));
                 begin = cell.firstQuery;
             }
-            kept = gatherRun<kBits, kBox>(where, halo, stride, begin, end, kept, bits);
+            kept = gatherRun<What, kBox>(where, halo, stride, begin, end, kept, bits);
         }
     }
-    if constexpr (kBits) bits.finish();
+    if constexpr (What::kBits) bits.finish();
     Simd::store(floats(kept + 4 * stride), Simd::set(kFarAway)); // tests read whole vectors of these
+    if constexpr (What::kFar) Simd::store(floats(kept + 12 * stride), Simd::set(0.0f));
     cell.candidates = candidates;
     cell.kept = static_cast<std::uint32_t>((kept - scratch.kept()) / sizeof(float));
 }
@@ -171,15 +183,26 @@ void gatherRuns(const QueryBounds& where, HaloScratch& scratch, int reach, const
 constexpr std::uint32_t kBoxQueries = 14;
 
 // `lowest` indexes the halo's cube at the lowest z of the cell's reach.
+template <typename What, bool kSelf>
+void gatherNear(const QueryBounds& where, HaloScratch& scratch, int reach, const std::uint32_t* lowest,
+                CellSearch& cell)
+{
+    if (cell.queries >= kBoxQueries) {
+        gatherRuns<What, true, kSelf>(where, scratch, reach, lowest, cell);
+    } else {
+        gatherRuns<What, false, kSelf>(where, scratch, reach, lowest, cell);
+    }
+}
+
+// For queries that are candidates of the halo.
 template <bool kBits>
 void gather(const SearchContext& context, HaloScratch& scratch, const std::uint32_t* lowest, CellSearch& cell)
 {
-    const QueryBounds where = boundsOf(context.bounds, scratch, cell.firstQuery, cell.queries);
-    if (cell.queries >= kBoxQueries) {
-        gatherRuns<kBits, true>(where, scratch, context.block.reach, lowest, cell);
-    } else {
-        gatherRuns<kBits, false>(where, scratch, context.block.reach, lowest, cell);
-    }
+    const float* const x = floats(scratch.halo()) + cell.firstQuery;
+    const std::size_t floatsOfStride = scratch.stride / sizeof(float);
+    const QueryBounds where =
+        boundsOf(context.bounds.reachable, x, x + floatsOfStride, x + 2 * floatsOfStride, cell.queries);
+    gatherNear<Gathered<kBits, false>, true>(where, scratch, context.block.reach, lowest, cell);
 }
 
 } // namespace

@@ -14,8 +14,10 @@ namespace {
 // Pads candidates to a whole vector: far from everything.
 constexpr float kFarAway = 1e30f;
 
-inline void copyRun(const BlockView& block, char* to, std::size_t stride, std::uint32_t begin,
-                    std::uint32_t end, const float shift[3])
+// kFar: the candidates have radii; `far` by slot, as SetContext::candidateFar.
+template <bool kFar>
+inline void copyRun(const BlockView& block, const float* far, char* to, std::size_t stride,
+                    std::uint32_t begin, std::uint32_t end, const float shift[3])
 {
     const Simd::F sx = Simd::set(shift[0]), sy = Simd::set(shift[1]), sz = Simd::set(shift[2]);
     // 64 bits: the last slots are so near 2^32 that a vector's step would wrap.
@@ -24,7 +26,16 @@ inline void copyRun(const BlockView& block, char* to, std::size_t stride, std::u
         Simd::store(floats(to + stride), Simd::add(Simd::load(block.y + i), sy));
         Simd::store(floats(to + 2 * stride), Simd::add(Simd::load(block.z + i), sz));
         Simd::store(integers(to + 4 * stride), Simd::load(block.number + i));
+        if constexpr (kFar) Simd::store(floats(to + 8 * stride), Simd::load(far + i));
     }
+}
+
+// A vector of no candidates at `to`, which is in a halo.
+template <bool kFar>
+inline void endCandidates(char* to, std::size_t stride)
+{
+    Simd::store(floats(to), Simd::set(kFarAway));
+    if constexpr (kFar) Simd::store(floats(to + 8 * stride), Simd::set(0.0f));
 }
 
 // What filling the halo needs to know of one of the 27 leaves.
@@ -54,7 +65,9 @@ inline std::size_t readLeaves(const BlockView& block, const std::uint32_t* neigh
     return particles;
 }
 
-inline void fillHalo(const BlockView& block, const LeafCells* leaves, HaloScratch& halo)
+template <bool kFar = false>
+inline void fillHalo(const BlockView& block, const LeafCells* leaves, HaloScratch& halo,
+                     const float* far = nullptr)
 {
     const int reach = block.reach, side = 8 + 2 * reach;
     std::uint32_t at = 0, *start = halo.start;
@@ -86,8 +99,8 @@ inline void fillHalo(const BlockView& block, const LeafCells* leaves, HaloScratc
                         cell += bits & 1;
                     }
                     const float shift[3] = {8.0f * (nx - 1), 8.0f * (ny - 1), 8.0f * (nz - 1)};
-                    copyRun(block, halo.halo() + std::size_t(at) * sizeof(float), halo.stride, begin, *cell,
-                            shift);
+                    copyRun<kFar>(block, far, halo.halo() + std::size_t(at) * sizeof(float), halo.stride,
+                                  begin, *cell, shift);
                     at += *cell - begin;
                 }
             }
@@ -148,23 +161,25 @@ inline std::uint32_t listRuns(const BlockView& block, const LeafCells* leaves, s
     return particles;
 }
 
+template <bool kFar = false>
 inline void copyRuns(const BlockView& block, const HaloRun* runs, std::uint32_t runCount,
-                     HaloScratch& scratch)
+                     HaloScratch& scratch, const float* far = nullptr)
 {
     char* to = scratch.halo();
     for (std::uint32_t r = 0; r < runCount; ++r) {
         const int n = runs[r].leaf;
         const float shift[3] = {8.0f * (n / 9 - 1), 8.0f * (n / 3 % 3 - 1), 8.0f * (n % 3 - 1)};
-        copyRun(block, to, scratch.stride, runs[r].begin, runs[r].end, shift);
+        copyRun<kFar>(block, far, to, scratch.stride, runs[r].begin, runs[r].end, shift);
         to += std::size_t(runs[r].end - runs[r].begin) * sizeof(float);
     }
-    Simd::store(floats(to), Simd::set(kFarAway));
+    endCandidates<kFar>(to, scratch.stride);
 }
 
 // Copies the particles of the cells in reach of cell (x, y, z) of the leaf, in visiting order. Returns how many there are;
 // `self` is where the cell's own begin.
+template <bool kFar = false>
 inline std::uint32_t copyReach(const BlockView& block, const LeafCells* leaves, int x, int y, int z,
-                               HaloScratch& scratch, std::uint32_t& self)
+                               HaloScratch& scratch, std::uint32_t& self, const float* far = nullptr)
 {
     const int reach = block.reach;
     char* to = scratch.halo();
@@ -190,12 +205,13 @@ inline std::uint32_t copyReach(const BlockView& block, const LeafCells* leaves, 
                     self = copied + (cell[__builtin_popcountll(under)] - begin);
                 }
                 const float shift[3] = {8.0f * (nx - 1), 8.0f * (ny - 1), 8.0f * (nz - 1)};
-                copyRun(block, to + std::size_t(copied) * sizeof(float), scratch.stride, begin, end, shift);
+                copyRun<kFar>(block, far, to + std::size_t(copied) * sizeof(float), scratch.stride, begin,
+                              end, shift);
                 copied += end - begin;
             }
         }
     }
-    Simd::store(floats(to + std::size_t(copied) * sizeof(float)), Simd::set(kFarAway));
+    endCandidates<kFar>(to + std::size_t(copied) * sizeof(float), scratch.stride);
     return copied;
 }
 

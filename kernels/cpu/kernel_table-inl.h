@@ -6,16 +6,27 @@
 #include "cpu/kernels.h"
 #include "cpu/locate_axis-inl.h"
 #include "cpu/sample_cubes-inl.h"
+#include "cpu/search_sets-inl.h"
 #include "cpu/search_task-inl.h"
 #include "cpu/sort_row-inl.h"
 
 namespace vdb_nns {
 namespace {
 
-constexpr Kernels kKernelTable = {searchTask<IndexRows<StreamedRows>>,
-                                  searchTask<IndexRows<DirectRows>>,
-                                  searchTask<MaskRows>,
-                                  searchTask<CountRows>,
+template <typename Rule>
+constexpr RowKernels kSetKernels = {searchSets<IndexRows<StreamedRows>, Rule>,
+                                    searchSets<IndexRows<DirectRows>, Rule>, searchSets<MaskRows, Rule>,
+                                    searchSets<CountRows, Rule>};
+
+template <typename Rule>
+constexpr RowKernels kNearestKernels = {searchSets<NearestRows<StreamedRows>, Rule>,
+                                        searchSets<NearestRows<DirectRows>, Rule>, nullptr,
+                                        searchSets<CountRows, Rule>};
+
+constexpr Kernels kKernelTable = {{searchTask<IndexRows<StreamedRows>>, searchTask<IndexRows<DirectRows>>,
+                                   searchTask<MaskRows>, searchTask<CountRows>},
+                                  {kSetKernels<QueryRadius>, kNearestKernels<QueryRadius>},
+                                  {kSetKernels<LargerRadius>, kNearestKernels<LargerRadius>},
                                   locateAxis,
                                   sampleCubes,
                                   expectCells,

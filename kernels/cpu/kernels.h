@@ -49,13 +49,25 @@ constexpr std::size_t sortScratchEntries(std::size_t count)
     return 2 * (count + kLargestSortBlock);
 }
 
-// kernel_table-inl.h fills it, by position.
-struct Kernels {
+// One for each kind of row.
+struct RowKernels {
     SearchTaskFunction
         index; // rows of numbers, past the caches; the last ones of a thread wait in RowSink::tail
     SearchTaskFunction visit; // rows of numbers, to be read at once
-    SearchTaskFunction mask;  // rows of membership bits
-    SearchTaskFunction count; // counts alone
+    SearchTaskFunction mask;  // rows of membership bits; null if rows are cut to the nearest
+    SearchTaskFunction count; // counts alone; of rows that are cut too, all neighbors
+};
+
+// By what becomes of a row.
+struct SetKernels {
+    RowKernels whole, nearest; // nearest: rows are cut to SetContext::nearest
+};
+
+// kernel_table-inl.h fills it, by position.
+struct Kernels {
+    RowKernels plain;        // the candidates are the queries, and one radius serves all
+    SetKernels queryRadius;  // of SearchContext::sets; the radius of the query decides
+    SetKernels largerRadius; // the larger one of the two does
     LocateAxisFunction locateAxis;
     SampleCubesFunction sampleCubes;
     ExpectCellsFunction expectCells;

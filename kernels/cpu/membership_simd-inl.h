@@ -97,6 +97,7 @@ inline NarrowSimd::F squaredLength(NarrowSimd::F x, NarrowSimd::F y, NarrowSimd:
 struct QueryBounds {
     NarrowSimd::F centerX, centerY, centerZ, halfX, halfY, halfZ;
     NarrowSimd::F ballKeep, boxKeep; // squared
+    float center[3];                 // the same as above
 
     // Candidates about the centre that may be neighbors of a query, by the ball around the queries, and if kBox by their
     // box too, which costs as much again and keeps fewer.

@@ -12,9 +12,10 @@
 //   void finish()                           once for a task, after its last row
 //
 //   struct Row                              one row in the making: a few words, copied freely, so that they stay in registers
-//     void take(numbers, hits)              a vector of candidates: their numbers, and a bit for each that is a neighbor; the
-//                                           query itself never is one. Lanes without a bit hold anything. It may write whole
-//                                           vectors: a row then touches up to `tested` + Simd::kLanes entries
+//     void take(numbers, scores, hits)      a vector of candidates: their numbers, the bits of what the filter made of their
+//                                           distances, and a bit for each that is a neighbor; the query itself never is one.
+//                                           Lanes without a bit hold anything. It may write whole vectors: a row then touches
+//                                           up to `tested` + Simd::kLanes entries
 //
 //   struct Group                            a run of queries; lives in the loop, for the same reason
 //     Group(Consumer&, queries, tested)     `tested`: candidates that a row takes
@@ -70,9 +71,10 @@ __attribute__((noinline)) void searchRows(Consumer& consumer, const Frame& given
     for (; self + 1 < end; self += 2) {
         group.begin(2);
         Row a = group.first(), b = group.second();
-        const auto take = [&a, &b](Simd::I numbers, Simd::Mask hitsA, Simd::Mask hitsB) {
-            a.take(numbers, hitsA);
-            b.take(numbers, hitsB);
+        const auto take = [&a, &b](Simd::I numbers, Simd::I scoresA, Simd::Mask hitsA, Simd::I scoresB,
+                                   Simd::Mask hitsB) {
+            a.take(numbers, scoresA, hitsA);
+            b.take(numbers, scoresB, hitsB);
         };
         if (test.tied || testPair(bounds, frame, self, take)) {
             const std::uint64_t before = test.statistics.bandPairs;
@@ -85,7 +87,9 @@ __attribute__((noinline)) void searchRows(Consumer& consumer, const Frame& given
     if (self < end) {
         group.begin(1);
         Row row = group.first();
-        const auto take = [&row](Simd::I numbers, Simd::Mask hits) { row.take(numbers, hits); };
+        const auto take = [&row](Simd::I numbers, Simd::I scores, Simd::Mask hits) {
+            row.take(numbers, scores, hits);
+        };
         if (test.tied || testQuery(bounds, frame, self, take)) row = exactly(self, group.first());
         pairs += group.end(row);
     }

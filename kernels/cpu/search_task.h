@@ -16,24 +16,39 @@ struct CancelPoll {
     void (*check)(const void* state);
 };
 
+// Of a search whose queries are not its candidates, or whose particles have radii of their own, or whose rows are cut to the
+// nearest: what search_sets-inl.h needs besides.
+struct SetContext {
+    BlockView queries{}; // on the lattice of the candidates
+    const float* queryFar =
+        nullptr; // by slot of the queries: FilterBounds::far of its radius; null: that of `bounds`
+    const float* candidateFar = nullptr; // by slot of the candidates; only for the larger radius of a pair
+    bool excludesSelf = true;            // a query is no neighbor of the candidate with its number
+    std::uint32_t nearest = 0;           // of each row, so many are kept; 0: all
+    float nearestDoubt = 0;              // scores further apart than this are ordered as the distances are
+};
+
 struct SearchContext {
-    BlockView block;
+    BlockView block; // the candidates
     FilterBounds bounds;
     CancelPoll cancel;
+    SetContext sets = {};
 };
 
 struct SearchTask {
     std::uint32_t leaf;
     std::uint32_t firstSlot, endSlot;  // queries, inside the leaf
-    const std::uint32_t* neighborhood; // kLeavesAround leaf indices, see LeafNeighborhood
+    const std::uint32_t* neighborhood; // kLeavesAround leaf indices of the candidates, see LeafNeighborhood
     const std::uint64_t* cells =
         nullptr; // 8 words: only queries in these cells; null for all. One alone for masks
 };
 
-// Decides the pairs in the filter's band; numbers are the caller's.
+// Decides the pairs in the filter's band, and which of two candidates is nearer to a query, or has the smaller number where both
+// are as near; numbers are the caller's.
 struct ExactPredicate {
     void* state;
     bool (*isNeighbor)(void* state, std::uint32_t query, std::uint32_t candidate);
+    bool (*isNearer)(void* state, std::uint32_t query, std::uint32_t a, std::uint32_t b);
 };
 
 // Where rows go. One for each thread.
@@ -55,7 +70,8 @@ struct RowSink {
 
 // Memory of one thread: the particles of a leaf and its halo, by cell (x, y, z) lexicographic, about the leaf's centre;
 // and the candidates that one cell's queries keep, about the centre of their ball. In units of `stride` bytes from `base`:
-//   kept x 0, y 1, z 2, squared length 4, number 8      halo x 5, y 6, z 7, number 9      bits or a row 3      rows 10, 11
+//   kept x 0, y 1, z 2, squared length 4, number 8, far 12      halo x 5, y 6, z 7, number 9, far 13
+//   bits or a row 3      rows 10, 11      of rows that are cut: numbers 3, 14, scores 15, 16, sorted 11, scratch 17, 18
 struct HaloScratch {
     static constexpr int kMaxSide = 8 + 2 * 3;
     std::uint32_t
@@ -68,6 +84,11 @@ struct HaloScratch {
 
     char* kept() const { return base; }
     char* halo() const { return base + 5 * stride; }
+    // Where rows and scores are that are cut to the nearest, of each of two queries.
+    std::uint32_t* uncutNumbers(int row) const { return integersAt(row == 0 ? 3 : 14); }
+    std::uint32_t* uncutScores(int row) const { return integersAt(row == 0 ? 15 : 16); }
+    std::uint32_t* sortedScores() const { return integersAt(11); } // behind the short rows of staging()
+    std::uint32_t* cutScratch() const { return integersAt(17); }   // twice as long
     // Where rows of numbers are made, two at a time: kStagingSlack entries longer than two rows of all kept candidates.
     std::uint32_t* staging() const { return reinterpret_cast<std::uint32_t*>(base + 10 * stride); }
     static constexpr std::size_t kStagingSlack = 1088;
@@ -84,7 +105,13 @@ struct HaloScratch {
     {
         return reinterpret_cast<std::uint64_t*>(base + 3 * stride + stride / 2 / 64 * 64);
     }
-    static constexpr std::size_t kStrides = 12;
+    static constexpr std::size_t kStrides = 19;
+
+private:
+    std::uint32_t* integersAt(std::size_t strides) const
+    {
+        return reinterpret_cast<std::uint32_t*>(base + strides * stride);
+    }
 };
 
 // Particles of each cell of a leaf and of those in reach around it, (x, y, z) lexicographic; zero between leaves.
@@ -98,6 +125,7 @@ struct CellCounts {
 struct TaskStatistics {
     std::uint64_t pairs = 0;
     std::uint64_t bandPairs = 0;
+    std::uint64_t shortened = 0; // rows that were cut to the nearest
 };
 
 } // namespace vdb_nns

@@ -57,10 +57,12 @@ struct Simd256 {
     static F max(F a, F b) { return _mm256_max_ps(a, b); }
     static F abs(F a) { return _mm256_andnot_ps(_mm256_set1_ps(-0.0f), a); }
     static I bits(F a) { return _mm256_castps_si256(a); }
+    static F floatsOf(I a) { return _mm256_castsi256_ps(a); }
     static I min(I a, I b) { return _mm256_min_epi32(a, b); }
     static Mask movesign(F a) { return static_cast<Mask>(_mm256_movemask_ps(a)); }
     static Mask lessEqual(F a, F b) { return movesign(_mm256_cmp_ps(a, b, _CMP_LE_OQ)); }
     static Mask lessEqual(I a, I b) { return ~movesign(_mm256_castsi256_ps(_mm256_cmpgt_epi32(a, b))) & 255; }
+    static Mask equal(I a, I b) { return movesign(_mm256_castsi256_ps(_mm256_cmpeq_epi32(a, b))); }
     using Order = __m256i;
     static Order order(Mask m)
     {
@@ -116,10 +118,12 @@ struct Simd {
     static F max(F a, F b) { return _mm512_max_ps(a, b); }
     static F abs(F a) { return _mm512_abs_ps(a); }
     static I bits(F a) { return _mm512_castps_si512(a); }
+    static F floatsOf(I a) { return _mm512_castsi512_ps(a); }
     static I min(I a, I b) { return _mm512_min_epi32(a, b); }
     static Mask movesign(F a) { return _mm512_movepi32_mask(_mm512_castps_si512(a)); }
     static Mask lessEqual(F a, F b) { return _mm512_cmp_ps_mask(a, b, _CMP_LE_OQ); }
     static Mask lessEqual(I a, I b) { return _mm512_cmple_epi32_mask(a, b); }
+    static Mask equal(I a, I b) { return _mm512_cmpeq_epi32_mask(a, b); }
     using Order = __mmask16;
     static Order order(Mask m) { return static_cast<__mmask16>(m); }
     static F compress(F v, Order o) { return _mm512_maskz_compress_ps(o, v); }
@@ -196,10 +200,12 @@ struct Simd {
     static F max(F a, F b) { return _mm_max_ps(a, b); }
     static F abs(F a) { return _mm_andnot_ps(_mm_set1_ps(-0.0f), a); }
     static I bits(F a) { return _mm_castps_si128(a); }
+    static F floatsOf(I a) { return _mm_castsi128_ps(a); }
     static I min(I a, I b) { return _mm_min_epi32(a, b); }
     static Mask movesign(F a) { return static_cast<Mask>(_mm_movemask_ps(a)); }
     static Mask lessEqual(F a, F b) { return movesign(_mm_cmple_ps(a, b)); }
     static Mask lessEqual(I a, I b) { return ~movesign(_mm_castsi128_ps(_mm_cmpgt_epi32(a, b))) & 15; }
+    static Mask equal(I a, I b) { return movesign(_mm_castsi128_ps(_mm_cmpeq_epi32(a, b))); }
     using Order = __m128i;
     static Order order(Mask m)
     {
@@ -257,10 +263,17 @@ struct Simd {
         std::memcpy(&i.v, &a, sizeof i.v);
         return i;
     }
+    static F floatsOf(I a)
+    {
+        F f;
+        std::memcpy(&f, &a.v, sizeof f);
+        return f;
+    }
     static I min(I a, I b) { return a.v < b.v ? a : b; }
     static Mask movesign(F a) { return bits(a).v < 0; }
     static Mask lessEqual(F a, F b) { return a <= b; }
     static Mask lessEqual(I a, I b) { return a.v <= b.v; }
+    static Mask equal(I a, I b) { return a.v == b.v; }
     struct Order {};
     static Order order(Mask) { return {}; }
     static F compress(F v, Order) { return v; }

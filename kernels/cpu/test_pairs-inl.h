@@ -1,7 +1,8 @@
 // Tests of queries against all candidates of a frame, a vector at a time. Knows frames and the membership rule's two steps,
 // the filter and the exact test; nothing of what becomes of the hits. Internal linkage; see simd.h.
 //
-// Each step hands over the numbers of a vector's candidates and which of them are hits. The query itself never is one.
+// Each step hands over the numbers of a vector's candidates, the bits of their scores, and which of them are hits. The query
+// itself never is one.
 #pragma once
 
 #include "cpu/membership_simd-inl.h"
@@ -20,8 +21,8 @@ inline Simd::I numbersAt(const char* p, std::size_t stride)
     return Simd::load(integers(p + Frame::kNumber * stride));
 }
 
-// Tests a query and the next one, and hands each vector's hits to take(numbers, hits of the first, hits of the second). Two
-// at a time read the candidates once for both. True when some are in the band: then both rows are to be made again, by
+// Tests a query and the next one, and hands each vector's hits to take(numbers, scores and hits of the first, those of the
+// second). Two at a time read the candidates once for both. True when some are in the band: then both rows are to be made again, by
 // testBand(). Always inlined: rows that `take` refers to are in registers only then.
 template <typename Frame, typename Take>
 __attribute__((always_inline)) inline bool testPair(const FilterBounds& bounds, const Frame& frame,
@@ -36,8 +37,9 @@ __attribute__((always_inline)) inline bool testPair(const FilterBounds& bounds, 
     const auto step = [&](Simd::Mask withoutA, Simd::Mask withoutB) {
         const typename Frame::Candidates candidates(p, stride);
         const Simd::F scoreA = a.score(candidates), scoreB = b.score(candidates);
-        least = Simd::min(least, Simd::min(Simd::bits(scoreA), Simd::bits(scoreB)));
-        take(numbersAt<Frame>(p, stride), Simd::movesign(scoreA) & ~withoutA,
+        const Simd::I bitsA = Simd::bits(scoreA), bitsB = Simd::bits(scoreB);
+        least = Simd::min(least, Simd::min(bitsA, bitsB));
+        take(numbersAt<Frame>(p, stride), bitsA, Simd::movesign(scoreA) & ~withoutA, bitsB,
              Simd::movesign(scoreB) & ~withoutB);
         p += kVectorBytes;
     };
@@ -50,7 +52,7 @@ __attribute__((always_inline)) inline bool testPair(const FilterBounds& bounds, 
     return Simd::lessEqual(least, Simd::set(bounds.bandTop)) != 0;
 }
 
-// The same for one query: take(numbers, hits).
+// The same for one query: take(numbers, scores, hits).
 template <typename Frame, typename Take>
 __attribute__((always_inline)) inline bool testQuery(const FilterBounds& bounds, const Frame& frame,
                                                      std::uint32_t self, Take&& take)
@@ -63,8 +65,9 @@ __attribute__((always_inline)) inline bool testQuery(const FilterBounds& bounds,
     Simd::I least = Simd::set(kLargestBits);
     const auto step = [&](Simd::Mask without) {
         const Simd::F score = query.score(typename Frame::Candidates(p, stride));
-        least = Simd::min(least, Simd::bits(score));
-        take(numbersAt<Frame>(p, stride), Simd::movesign(score) & ~without);
+        const Simd::I bits = Simd::bits(score);
+        least = Simd::min(least, bits);
+        take(numbersAt<Frame>(p, stride), bits, Simd::movesign(score) & ~without);
         p += kVectorBytes;
     };
     while (p < selfVector) step(0);
@@ -73,7 +76,7 @@ __attribute__((always_inline)) inline bool testQuery(const FilterBounds& bounds,
     return Simd::lessEqual(least, Simd::set(bounds.bandTop)) != 0;
 }
 
-// testQuery() for a query that has candidates in the band: the exact test decides those. Hits go to row.take(numbers, hits);
+// testQuery() for a query that has candidates in the band: the exact test decides those. Hits go to row.take(numbers, scores, hits);
 // returns the row. Rare, and apart, so that it takes no registers from the others: the row comes and goes by value, for the
 // same reason.
 template <typename Frame, typename Row>
@@ -96,7 +99,7 @@ __attribute__((noinline)) Row testBand(const FilterBounds& bounds, Frame frame, 
                 hits &= ~(Simd::Mask(1) << lane);
             }
         }
-        row.take(numbersAt<Frame>(p, frame.stride), hits);
+        row.take(numbersAt<Frame>(p, frame.stride), Simd::bits(score), hits);
     }
     return row;
 }

@@ -39,6 +39,15 @@
 //    delta. With fl(|p_q|^2) <= M for all queries, candidates with fl(|p_c|^2) > keepSquared(M) are dropped: the three
 //    roundings of either square are far below the factors of 1e-5 there. The same holds for the distance of p_c from a
 //    box that holds all p_q, with M = 0: per axis it is fl(|p_c| - half) or 0, one more rounding.
+//
+// 5. Radii of particles. All of a search are at most rho, the lattice's, and beta is that of rho: it grows with rho, so steps 2 and
+//    3 hold for every smaller radius r with far = r^2 + beta, and so does the band, [-2 beta, 0). A pair that goes by the larger
+//    radius of the two has s = fl(fl(w_c + w_q + a.p_c) - max(far_q, far_c)): one more sum below W + Q + X. Neighbors have
+//    sqrt(D) <= r + delta <= sqrt(r^2 + beta), as beta >= 2 r delta + delta^2: reachableOf().
+//
+// 6. Which is nearer. A score is D - far with an error below beta, and D is within 2 rho delta + delta^2, which beta covers
+//    too, of the square of the true distance. With one far, scores that are more than 2 beta apart are ordered as the
+//    distances are.
 #pragma once
 
 #include "shared/annotation.h"
@@ -63,20 +72,48 @@ VDB_NNS_HOST_DEVICE static inline std::int32_t floatBits(float value)
     return bits;
 }
 
+// Of the filter's error.
+struct FilterError {
+    double delta; // of a distance
+    double beta;  // of a score
+};
+
 /// @param radiusCells rho, with a relative error of at most 1e-14
 /// @param coordinateError E, in cells
-static inline FilterBounds makeFilterBounds(double radiusCells, int reach, double coordinateError)
+/// @param sums of a score, each below W + Q + X: 4, or 5 with a radius of each candidate
+static inline FilterError filterError(double radiusCells, int reach, double coordinateError, int sums)
 {
     const double u = 0x1p-24, rho2 = radiusCells * radiusCells;
     const double delta = 2 * 1.7320508075688774 * (coordinateError + 0x1p-21);
     const double w = 3.0 * (reach + 1) * (reach + 1), x = 3.0 * (reach + 1), q = rho2 + 1;
-    const double arithmetic = u * (3 * w + 3 + 2 * q + 4 * (w + q + x) + x) * 1.001;
-    const double beta = (2 * radiusCells * delta + delta * delta + arithmetic + 1e-13 * rho2) * 1.001;
+    const double arithmetic = u * (3 * w + 3 + 2 * q + sums * (w + q + x) + x) * 1.001;
+    return {delta, (2 * radiusCells * delta + delta * delta + arithmetic + 1e-13 * rho2) * 1.001};
+}
+
+static inline FilterBounds makeFilterBounds(double radiusCells, int reach, double coordinateError,
+                                            int sums = 4)
+{
+    const FilterError error = filterError(radiusCells, reach, coordinateError, sums);
     FilterBounds bounds;
-    bounds.far = static_cast<float>(rho2 + beta);
-    bounds.reachable = std::nextafter(static_cast<float>(radiusCells + delta), 1e30f);
-    bounds.bandTop = floatBits(std::nextafter(static_cast<float>(-2 * beta), -1e30f));
+    bounds.far = static_cast<float>(radiusCells * radiusCells + error.beta);
+    bounds.reachable = std::nextafter(static_cast<float>(radiusCells + error.delta), 1e30f);
+    bounds.bandTop = floatBits(std::nextafter(static_cast<float>(-2 * error.beta), -1e30f));
     return bounds;
+}
+
+/// FilterBounds::far of a particle's own radius, in a search whose largest radius has the error `error`. A radius that is not
+/// positive and finite reaches nobody.
+static inline float farOf(double radiusCells, const FilterError& error)
+{
+    constexpr float kNobody = -1e30f;
+    return radiusCells > 0 && radiusCells <= 1e6 ? static_cast<float>(radiusCells * radiusCells + error.beta)
+                                                 : kNobody;
+}
+
+/// FilterBounds::reachable of particles of which the largest has this farOf().
+static inline float reachableOf(float far)
+{
+    return far > 0 ? sqrtf(far) * 1.00001f : 0;
 }
 
 /// What a query brings to its tests, about a centre m. The scalar test, for the host and for devices.
@@ -114,10 +151,11 @@ VDB_NNS_HOST_DEVICE static inline std::int32_t scoreBits(const QueryTerms& query
 }
 
 /// Squared distance from the centre of a cell's queries past which nothing is their neighbor.
+/// @param reachable FilterBounds::reachable
 /// @param mostSquared largest squared distance of a query from that centre
-VDB_NNS_HOST_DEVICE static inline float keepSquared(const FilterBounds& bounds, float mostSquared)
+VDB_NNS_HOST_DEVICE static inline float keepSquared(float reachable, float mostSquared)
 {
-    const float most = sqrtf(mostSquared) * 1.00001f + bounds.reachable;
+    const float most = sqrtf(mostSquared) * 1.00001f + reachable;
     return most * most * 1.00001f;
 }
 

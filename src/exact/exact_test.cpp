@@ -1,6 +1,8 @@
 #include "exact/exact_test.h"
 
+#include "points/pair_geometry.h"
 #include "points/particle_source.h"
+#include "util/dyadic.h"
 
 #include <boost/multiprecision/cpp_int.hpp>
 
@@ -72,8 +74,22 @@ int bitsOf(UInt128 v)
     return high ? 128 - __builtin_clzll(high) : low ? 64 - __builtin_clzll(low) : 0;
 }
 
+} // namespace
+
+struct ExactTest::ExactVector {
+    UInt128 w[3];
+    int bits = 0; // of the largest
+    int exponent = 0;
+
+    void shift(int left)
+    {
+        for (UInt128& v : w) v <<= left;
+    }
+    UInt256 square() const { return vdb_nns::square(w[0]) + vdb_nns::square(w[1]) + vdb_nns::square(w[2]); }
+};
+
 // The nine terms of a pair's coordinate differences: voxel difference + b - a on each axis.
-struct Terms {
+struct ExactTest::Terms {
     Scaled term[3][3];
     int exponent = kNoExponent;                // the smallest
     int top = std::numeric_limits<int>::min(); // exponent above the largest's highest bit
@@ -93,20 +109,42 @@ struct Terms {
     }
 };
 
-} // namespace
-
-ExactTest::ExactTest(const ParticleView& view, double radius) : mView(view), mRadius(radius)
+double radiusOfPair(const Radius& radius, std::uint32_t query, std::uint32_t candidate)
 {
-    const Matrix3& m = view.linear();
-    const int exponent = std::ilogb(radius);
-    if (exponent > -1000 && exponent < 1000) {
-        mScale = std::ldexp(1.0, -exponent);
-        mScaledRadius2 = (radius * mScale) * (radius * mScale);
+    constexpr double kNobody = -std::numeric_limits<double>::infinity();
+    const auto of = [](Span<const double> radii, std::uint32_t number) {
+        const double r = radii[number];
+        return r > 0 && std::isfinite(r) ? r : kNobody;
+    };
+    if (radius.isOne()) return radius.value;
+    switch (radius.mode) {
+    case RadiusMode::kGather:
+        return of(radius.ofQueries, query);
+    case RadiusMode::kScatter:
+        return of(radius.ofCandidates, candidate);
+    case RadiusMode::kSymmetric:
+        break;
     }
+    return std::max(of(radius.ofQueries, query), of(radius.ofCandidates, candidate));
+}
+
+ExactTest::ExactTest(const ParticleView& queries, const ParticleView& candidates, const Radius& radius,
+                     double largest)
+    : mQueries(queries),
+      mCandidates(candidates),
+      mRadius(radius),
+      mIsAlike(haveSameCoordinates(queries.source(), candidates.source()))
+{
+    const Matrix3 &m = queries.linear(), &n = candidates.linear();
+    const int exponent = std::ilogb(largest);
+    if (exponent > -1000 && exponent < 1000) mScale = std::ldexp(1.0, -exponent);
     int lowest = kNoExponent, top = std::numeric_limits<int>::min();
     for (int k = 0; k < 3; ++k) {
+        mScaledTranslation[k] = queries.source().translation()[k] * mScale;
+        mScaledCandidateTranslation[k] = candidates.source().translation()[k] * mScale;
         for (int c = 0; c < 3; ++c) {
             mScaledLinear[k][c] = m[k][c] * mScale;
+            mScaledCandidateLinear[k][c] = n[k][c] * mScale;
             const Scaled s = decompose(m[k][c]);
             if (s.mantissa == 0) continue;
             lowest = std::min(lowest, s.exponent);
@@ -123,11 +161,12 @@ ExactTest::ExactTest(const ParticleView& view, double radius) : mView(view), mRa
     }
 }
 
-ExactTest::Verdict ExactTest::doubleTest(const StoredPosition& a, const StoredPosition& b) const
+ExactTest::Square ExactTest::squareOf(const StoredPosition& a, const StoredPosition& b) const
 {
     constexpr double u = 0x1p-53;
+    if (!mIsAlike) return squareOfTwo(a, b);
     double w2 = 0, error = 0;
-    if (mView.source().isArray()) {
+    if (mQueries.source().isArray()) {
         for (int c = 0; c < 3; ++c) {
             const double w = (b.offset[c] - a.offset[c]) * mScale;
             w2 += w * w;
@@ -151,10 +190,103 @@ ExactTest::Verdict ExactTest::doubleTest(const StoredPosition& a, const StoredPo
         }
         error += 12 * u * w2;
     }
-    error += 12 * u * mScaledRadius2; // the radius' own square, and underflow
-    if (w2 + error < mScaledRadius2) return Verdict::kYes;
-    if (w2 - error > mScaledRadius2) return Verdict::kNo;
+    return {w2, error};
+}
+
+ExactTest::Square ExactTest::squareOfTwo(const StoredPosition& query, const StoredPosition& candidate) const
+{
+    constexpr double u = 0x1p-53;
+    double w2 = 0, error = 0;
+    for (int k = 0; k < 3; ++k) {
+        double x = mScaledTranslation[k], y = mScaledCandidateTranslation[k];
+        double size = std::fabs(x) + std::fabs(y);
+        for (int c = 0; c < 3; ++c) {
+            const auto p = static_cast<double>(query.voxel[c]), q = static_cast<double>(candidate.voxel[c]);
+            x += mScaledLinear[k][c] * (p + query.offset[c]);
+            y += mScaledCandidateLinear[k][c] * (q + candidate.offset[c]);
+            size += std::fabs(mScaledLinear[k][c]) * (std::fabs(p) + std::fabs(query.offset[c])) +
+                    std::fabs(mScaledCandidateLinear[k][c]) * (std::fabs(q) + std::fabs(candidate.offset[c]));
+        }
+        const double w = y - x, e = 8 * u * size;
+        w2 += w * w;
+        error += 4 * std::fabs(w) * e + 2 * e * e;
+    }
+    return {w2, error + 12 * u * w2};
+}
+
+ExactTest::Verdict ExactTest::doubleTest(const StoredPosition& a, const StoredPosition& b,
+                                         double radius) const
+{
+    constexpr double u = 0x1p-53;
+    const Square square = squareOf(a, b);
+    const double r2 = (radius * mScale) * (radius * mScale);
+    // The radius' own square, and underflow.
+    const double error = square.error + 12 * u * r2 + std::numeric_limits<double>::min();
+    if (square.value + error < r2) return Verdict::kYes;
+    if (square.value - error > r2) return Verdict::kNo;
     return Verdict::kUndecided;
+}
+
+Dyadic ExactTest::exactSquare(const StoredPosition& query, const StoredPosition& candidate) const
+{
+    const ParticleSource &queries = mQueries.source(), &candidates = mCandidates.source();
+    Dyadic p[3], q[3];
+    for (int c = 0; c < 3; ++c) {
+        p[c] = Dyadic(static_cast<double>(query.voxel[c])) + Dyadic(query.offset[c]);
+        q[c] = Dyadic(static_cast<double>(candidate.voxel[c])) + Dyadic(candidate.offset[c]);
+    }
+    Dyadic sum;
+    for (int k = 0; k < 3; ++k) {
+        Dyadic w = Dyadic(candidates.translation()[k]) - Dyadic(queries.translation()[k]);
+        for (int c = 0; c < 3; ++c)
+            w = w + Dyadic(candidates.linear()[k][c]) * q[c] - Dyadic(queries.linear()[k][c]) * p[c];
+        sum = sum + w * w;
+    }
+    return sum;
+}
+
+ExactTest::Square ExactTest::squareOf(std::uint32_t query, std::uint32_t candidate) const
+{
+    constexpr double kUnknown = std::numeric_limits<double>::infinity();
+    if (mScale == 0) return {0, kUnknown};
+    const Square square = squareOf(mQueries.source().stored(query), mCandidates.source().stored(candidate));
+    if (!std::isfinite(square.value) || !std::isfinite(square.error)) return {0, kUnknown};
+    return {square.value, square.error + std::numeric_limits<double>::min()};
+}
+
+// The exact comparison of two distances, where integers of 256 bits hold both squares.
+std::optional<int> ExactTest::compareInIntegers(const StoredPosition& query, const StoredPosition& a,
+                                                const StoredPosition& b) const
+{
+    if (!mIsAlike) return std::nullopt;
+    const Terms termsA(query, a), termsB(query, b);
+    if (termsA.exponent == kNoExponent || termsB.exponent == kNoExponent) return std::nullopt;
+    ExactVector vectorA, vectorB;
+    if (!exactVector(termsA, vectorA) || !exactVector(termsB, vectorB)) return std::nullopt;
+    ExactVector& coarse = vectorA.exponent > vectorB.exponent ? vectorA : vectorB;
+    const int shift = std::abs(vectorA.exponent - vectorB.exponent);
+    if (coarse.bits + shift > 126) return std::nullopt;
+    coarse.shift(shift);
+    const UInt256 squareA = vectorA.square(), squareB = vectorB.square();
+    return squareA <= squareB ? (squareB <= squareA ? 0 : -1) : 1;
+}
+
+bool ExactTest::isNearer(std::uint32_t query, std::uint32_t a, std::uint32_t b,
+                         std::uint64_t& exactPairs) const
+{
+    const StoredPosition from = mQueries.source().stored(query), toA = mCandidates.source().stored(a),
+                         toB = mCandidates.source().stored(b);
+    if (mScale != 0) {
+        const Square squareA = squareOf(from, toA), squareB = squareOf(from, toB);
+        const double error = squareA.error + squareB.error + std::numeric_limits<double>::min();
+        if (squareA.value + error < squareB.value) return true;
+        if (squareB.value + error < squareA.value) return false;
+    }
+    if (toA == toB) return a < b;
+    exactPairs += 2;
+    const std::optional<int> inIntegers = compareInIntegers(from, toA, toB);
+    const int order = inIntegers ? *inIntegers : (exactSquare(from, toA) - exactSquare(from, toB)).sign();
+    return order != 0 ? order < 0 : a < b;
 }
 
 const ExactTestMemory::Position& ExactTestMemory::positionOf(const ParticleSource& source,
@@ -175,19 +307,23 @@ const ExactTestMemory::Position& ExactTestMemory::positionOf(const ParticleSourc
 bool ExactTest::isNeighbor(std::uint32_t query, std::uint32_t candidate, ExactTestMemory& memory,
                            std::uint64_t& exactPairs) const
 {
-    const ParticleSource& source = mView.source();
-    if (!source.isArray()) return isNeighborInGrid(query, candidate, memory, exactPairs);
-    const StoredPosition a = source.stored(query), b = source.stored(candidate);
-    const Verdict verdict = mScale != 0 ? doubleTest(a, b) : Verdict::kUndecided;
+    const ParticleSource &queries = mQueries.source(), &candidates = mCandidates.source();
+    if (mRadius.isOne() && &queries == &candidates && !queries.isArray())
+        return isNeighborInGrid(query, candidate, memory, exactPairs);
+    const double radius = radiusOfPair(mRadius, query, candidate);
+    if (!(radius > 0)) return false;
+    const StoredPosition a = queries.stored(query), b = candidates.stored(candidate);
+    const Verdict verdict = mScale != 0 ? doubleTest(a, b, radius) : Verdict::kUndecided;
     if (verdict != Verdict::kUndecided) return verdict == Verdict::kYes;
     ++exactPairs;
-    return isNeighborExactly(a, b);
+    if (mIsAlike) return isNeighborExactly(a, b, radius);
+    return (exactSquare(a, b) - Dyadic(radius) * Dyadic(radius)).sign() <= 0;
 }
 
 bool ExactTest::isNeighborInGrid(std::uint32_t query, std::uint32_t candidate, ExactTestMemory& memory,
                                  std::uint64_t& exactPairs) const
 {
-    const ParticleSource& source = mView.source();
+    const ParticleSource& source = mQueries.source();
     if (memory.query.number != query) memory.query = memory.positionOf(source, query);
     const ExactTestMemory::Position &a = memory.query, &b = memory.positionOf(source, candidate);
     const bool sameOffsets = std::memcmp(a.offset, b.offset, sizeof a.offset) == 0;
@@ -203,18 +339,16 @@ bool ExactTest::isNeighborInGrid(std::uint32_t query, std::uint32_t candidate, E
         return StoredPosition{{p.voxel[0], p.voxel[1], p.voxel[2]}, {p.offset[0], p.offset[1], p.offset[2]}};
     };
     const StoredPosition storedA = storedOf(a), storedB = storedOf(b);
-    const Verdict verdict = mScale != 0 ? doubleTest(storedA, storedB) : Verdict::kUndecided;
+    const Verdict verdict = mScale != 0 ? doubleTest(storedA, storedB, mRadius.value) : Verdict::kUndecided;
     if (verdict != Verdict::kUndecided) return verdict == Verdict::kYes;
     ++exactPairs;
-    const bool isNeighbor = isNeighborExactly(storedA, storedB);
+    const bool isNeighbor = isNeighborExactly(storedA, storedB, mRadius.value);
     if (sameOffsets) tie = {{d[0], d[1], d[2]}, true, isNeighbor};
     return isNeighbor;
 }
 
-namespace {
-
 // The exact comparison in integers of any size. A microsecond.
-bool isWithin(const Terms& terms, const Matrix3& m, double radius)
+bool ExactTest::isWithin(const Terms& terms, const Matrix3& m, double radius)
 {
     cpp_int d[3];
     int matrixExponent = kNoExponent;
@@ -246,15 +380,11 @@ bool isWithin(const Terms& terms, const Matrix3& m, double radius)
     return sum <= r2;
 }
 
-} // namespace
-
-bool ExactTest::isNeighborExactly(const StoredPosition& a, const StoredPosition& b) const
+// M (b - a) as magnitudes of integers, and the exponent of their unit. False where they could pass 2^126.
+bool ExactTest::exactVector(const Terms& terms, ExactVector& vector) const
 {
-    const Terms terms(a, b);
-    if (terms.exponent == kNoExponent) return true; // the same place
-    const Scaled r = decompose(mRadius);
     // Below 2^61 each term, so below 2^63 their sum, 2^124 a product with an entry of M, and 2^126 three of those.
-    if (!mSmallMatrix || terms.top - terms.exponent > 61) return isWithin(terms, mView.linear(), mRadius);
+    if (!mSmallMatrix || terms.top - terms.exponent > 61) return false;
     std::int64_t d[3];
     for (int c = 0; c < 3; ++c) {
         d[c] = 0;
@@ -262,24 +392,33 @@ bool ExactTest::isNeighborExactly(const StoredPosition& a, const StoredPosition&
             if (s.mantissa) d[c] += s.mantissa * (std::int64_t(1) << (s.exponent - terms.exponent));
         }
     }
-    UInt128 w[3];
-    int bits = 0;
     for (int k = 0; k < 3; ++k) {
         Int128 sum = 0;
         for (int c = 0; c < 3; ++c) sum += Int128(mMatrix[k][c]) * d[c];
-        w[k] = sum < 0 ? -UInt128(sum) : UInt128(sum);
-        bits = std::max(bits, bitsOf(w[k]));
+        vector.w[k] = sum < 0 ? -UInt128(sum) : UInt128(sum);
+        vector.bits = std::max(vector.bits, bitsOf(vector.w[k]));
     }
-    int shift = r.exponent - terms.exponent - mMatrixExponent; // radius = r.mantissa << shift in units of w
-    UInt128 radius = static_cast<UInt128>(r.mantissa);
+    vector.exponent = terms.exponent + mMatrixExponent;
+    return true;
+}
+
+bool ExactTest::isNeighborExactly(const StoredPosition& a, const StoredPosition& b, double radius) const
+{
+    const Terms terms(a, b);
+    if (terms.exponent == kNoExponent) return true; // the same place
+    const Scaled r = decompose(radius);
+    ExactVector vector;
+    if (!exactVector(terms, vector)) return isWithin(terms, mQueries.linear(), radius);
+    int shift = r.exponent - vector.exponent; // radius = r.mantissa << shift in units of w
+    UInt128 scaledRadius = static_cast<UInt128>(r.mantissa);
     if (shift < 0) {
-        if (bits - shift > 126) return isWithin(terms, mView.linear(), mRadius);
-        for (UInt128& v : w) v <<= -shift;
+        if (vector.bits - shift > 126) return isWithin(terms, mQueries.linear(), radius);
+        vector.shift(-shift);
         shift = 0;
     }
     if (r.bits + shift > 127) return true; // radius >= 2^127 > sqrt(3) * 2^126
-    radius <<= shift;
-    return square(w[0]) + square(w[1]) + square(w[2]) <= square(radius);
+    scaledRadius <<= shift;
+    return vector.square() <= square(scaledRadius);
 }
 
 } // namespace vdb_nns

@@ -1,5 +1,7 @@
 #include "grid/cell_map.h"
 
+#include "points/pair_geometry.h"
+
 #include <Eigen/Dense>
 
 #include <algorithm>
@@ -9,11 +11,13 @@
 
 namespace vdb_nns {
 
-CellMap::CellMap(const ParticleSource& source, const Lattice& lattice, SimdLevel simd)
+CellMap::CellMap(const ParticleSource& source, const Lattice& lattice, SimdLevel simd,
+                 const ParticleSource* home)
     : reference(lattice.reference),
       mRadius(lattice.radius),
       mCellsPerUnit(cellsPerUnit(lattice)),
       mIsArray(source.isArray()),
+      mIsHome(!home || haveSameCoordinates(source, *home)),
       mLocateAxis(kernelsFor(simd).locateAxis)
 {
     for (int k = 0; k < 3; ++k) {
@@ -22,6 +26,28 @@ CellMap::CellMap(const ParticleSource& source, const Lattice& lattice, SimdLevel
     using RowMajor = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
     const Eigen::Map<const RowMajor> linear(source.linear()[0].data());
     Eigen::Map<RowMajor>(mSpread[0].data()) = linear.cwiseAbs() * linear.inverse().cwiseAbs();
+    if (!mIsHome) setHome(source, *home);
+}
+
+// The reference becomes a place that the source can store, near that of the lattice.
+void CellMap::setHome(const ParticleSource& source, const ParticleSource& home)
+{
+    using RowMajor = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+    const auto matrixOf = [](const ParticleSource& s) {
+        return Eigen::Map<const RowMajor>(s.linear()[0].data());
+    };
+    const auto vectorOf = [](const Vec3d& v) { return Eigen::Map<const Eigen::Vector3d>(v.data()); };
+    const Vec3d latticeReference = reference;
+    const Eigen::Vector3d world = matrixOf(home) * vectorOf(latticeReference) + vectorOf(home.translation());
+    const Eigen::Vector3d stored = matrixOf(source).inverse() * (world - vectorOf(source.translation()));
+    for (int k = 0; k < 3; ++k) {
+        const double rounded = mIsArray ? stored[k] : std::nearbyint(stored[k]);
+        reference[k] = std::fabs(rounded) < kCellLimit || (mIsArray && std::isfinite(rounded))
+                           ? rounded
+                           : source.reference()[k];
+    }
+    const Vec3d offset = worldOffset(source, reference, home, latticeReference);
+    for (int k = 0; k < 3; ++k) mOffset[k] = offset[k] * mCellsPerUnit;
 }
 
 bool CellMap::locate(const double (*stored)[kBatch], std::size_t count, Located& out) const
@@ -34,6 +60,9 @@ bool CellMap::locate(const double (*stored)[kBatch], std::size_t count, Located&
         } else {
             for (std::size_t i = 0; i < count; ++i) t[i] = cell(k, stored[0][i], stored[1][i], stored[2][i]);
         }
+        if (!mIsHome) {
+            for (std::size_t i = 0; i < count; ++i) t[i] += mOffset[k];
+        }
         inside &= mLocateAxis(t, count, kCellLimit, out.leaf[k], out.local[k]);
     }
     return inside;
@@ -43,7 +72,8 @@ bool CellMap::inRange(double cx, double cy, double cz) const
 {
     const double stored[3] = {cx, cy, cz};
     for (int k = 0; k < 3; ++k) {
-        const double t = mIsArray ? stored[k] * mCellsPerUnit : cell(k, cx, cy, cz);
+        double t = mIsArray ? stored[k] * mCellsPerUnit : cell(k, cx, cy, cz);
+        if (!mIsHome) t += mOffset[k];
         if (!(std::fabs(t) < kCellLimit)) return false;
     }
     return true;
@@ -54,10 +84,14 @@ double CellMap::errorCells(const double mostCells[3]) const
     double worst = 0;
     for (int k = 0; k < 3; ++k) {
         double sum = 0;
-        for (int c = 0; c < 3; ++c) sum += mSpread[k][c] == 0 ? 0 : mSpread[k][c] * mostCells[c];
-        worst = std::max(worst, sum);
+        for (int c = 0; c < 3; ++c) {
+            const double most = mostCells[c] + std::fabs(mOffset[c]);
+            sum += mSpread[k][c] == 0 ? 0 : mSpread[k][c] * most;
+        }
+        const double shift = mIsHome ? 0 : mostCells[k] + std::fabs(mOffset[k]);
+        worst = std::max(worst, 7 * sum + 4 * shift);
     }
-    return 7 * 0x1p-53 * worst;
+    return 0x1p-53 * worst;
 }
 
 InputError CellMap::rangeError(const ParticleSource& source, double coordinateError,

@@ -8,6 +8,9 @@
 //   both:   the leaf is the nearest integer to t / 8 - 1/2, whose difference may round (1)
 // so at most 6 relative roundings of u = 2^-53 of sum |m| |c|; 7 u covers their products. What follows, t - 8 leaf - 4,
 // is exact to 2^-51.
+// Where the lattice is counted in the coordinates of another source (`home`), positions are taken about a reference of their
+// own, and t = fl(sum + offset) with the offset of the two references in cells, within 3 u of the true one: 4 u (|t| + |offset|)
+// more, and sum |m| |c| is bounded from |t| + |offset|.
 // What the bound is for stands in lattice.h.
 #pragma once
 
@@ -23,7 +26,9 @@
 namespace vdb_nns {
 
 struct CellMap {
-    CellMap(const ParticleSource& source, const Lattice& lattice, SimdLevel simd);
+    // `home`: in whose stored coordinates the lattice's reference is; the source itself unless told.
+    CellMap(const ParticleSource& source, const Lattice& lattice, SimdLevel simd,
+            const ParticleSource* home = nullptr);
 
     static constexpr std::size_t kBatch =
         512; // particles: what locate() works on stays in the first-level cache
@@ -55,12 +60,14 @@ private:
         const auto& m = mMatrix[axis];
         return m[0] * cx + m[1] * cy + m[2] * cz;
     }
+    void setHome(const ParticleSource& source, const ParticleSource& home);
 
     double mRadius; // of the lattice
     double mCellsPerUnit;
-    Matrix3 mMatrix; // linear * cells in a unit
-    Matrix3 mSpread; // |mMatrix| |its inverse|
-    bool mIsArray;
+    Matrix3 mMatrix;        // linear * cells in a unit
+    Matrix3 mSpread;        // |mMatrix| |its inverse|
+    Vec3d mOffset{};        // of the reference from the lattice's, in cells
+    bool mIsArray, mIsHome; // whether the offset is 0 by definition
     LocateAxisFunction mLocateAxis;
 };
 

@@ -88,9 +88,4 @@ double searchRadius(const Lattice& lattice, double radius)
     return radius;
 }
 
-bool haveSameCoordinates(const ParticleSource& a, const ParticleSource& b)
-{
-    return a.isArray() == b.isArray() && a.linear() == b.linear() && a.translation() == b.translation();
-}
-
 } // namespace vdb_nns

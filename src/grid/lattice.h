@@ -58,7 +58,4 @@ void checkLattice(const Lattice& lattice);
 // The radius of a search that was asked for `radius`, 0 for the lattice's. Throws InvalidInput above that.
 double searchRadius(const Lattice& lattice, double radius);
 
-// Whether cells of one lattice are the same cells for both: whether their stored coordinates mean the same.
-bool haveSameCoordinates(const ParticleSource& a, const ParticleSource& b);
-
 } // namespace vdb_nns

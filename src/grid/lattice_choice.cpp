@@ -76,12 +76,12 @@ LatticeFit fitOf(const ParticleSource& source, const Lattice& lattice, SimdLevel
 } // namespace
 
 void offerLattices(const ParticleSource& source, double radius, const SearchOptions& options,
-                   const Offer& offer)
+                   const ParticleSource& placed, bool mayUseVoxels, const Offer& offer)
 {
     double size = options.cellSize;
     if (size == 0) {
         if (const std::optional<Lattice> voxels = latticeOfVoxels(source, radius)) {
-            if (offer(*voxels).fits) return;
+            if (mayUseVoxels && offer(*voxels).fits) return;
         }
         const bool mayBeWide = options.wideCells && options.hostMemoryBytes == 0;
         size = chooseCellSize(source, radius, options.simd, mayBeWide, CancelCheck(options.progress, "grid"));
@@ -95,14 +95,15 @@ void offerLattices(const ParticleSource& source, double radius, const SearchOpti
     Lattice lattice = latticeOf(source, radius, cells);
     const LatticeFit fit = offerCells(source, lattice, offer);
     if (fit.fits) return;
-    throw CellMap(source, lattice, options.simd).rangeError(source, fit.coordinateError, cells.perRadius);
+    throw CellMap(placed, lattice, options.simd, &source)
+        .rangeError(placed, fit.coordinateError, cells.perRadius);
 }
 
 Lattice findLattice(const ParticleSource& source, double radius, const SearchOptions& options)
 {
     const CancelCheck cancel(options.progress, "lattice");
     Lattice found;
-    offerLattices(source, radius, options, [&](const Lattice& lattice) {
+    offerLattices(source, radius, options, source, true, [&](const Lattice& lattice) {
         found = lattice;
         return fitOf(source, lattice, options.simd, cancel);
     });

@@ -20,8 +20,10 @@ struct LatticeFit {
 // are counted from the origin, or from the middle of the particles where the origin is too far. Whether a
 // lattice fits is left to the sort on it, which looks at all particles anyway: there is no other pass over
 // them but those of chooseCellSize(), and of boundsOf() where the origin is too far.
+// `placed`: whose particles `offer` sorts, for messages; voxels are offered only if that is the source itself and all of them.
 // Throws InputError where none fits, Cancelled, and what `offer` throws.
 void offerLattices(const ParticleSource& source, double radius, const SearchOptions& options,
+                   const ParticleSource& placed, bool mayUseVoxels,
                    const std::function<LatticeFit(const Lattice&)>& offer);
 
 // The lattice that fits, found by a pass over the particles for each that is offered. Throws as

@@ -1,5 +1,6 @@
 #include "grid/placement.h"
 
+#include "grid/topology.h"
 #include "points/particle_source.h"
 
 #include <tbb/parallel_for.h>
@@ -33,10 +34,13 @@ std::vector<Chunk> makeChunks(std::size_t count)
     return result;
 }
 
-// Of a batch with particles out of range: counts the non-finite ones, notes whether there are others.
-void sortOut(const CellMap& map, const double (*stored)[kBatch], std::size_t count, Chunk& chunk)
+// Of a batch with particles out of range: counts the non-finite ones, notes whether there are others. `chosen`: of the batch; null
+// for all.
+void sortOut(const CellMap& map, const double (*stored)[kBatch], const std::uint8_t* chosen,
+             std::size_t count, Chunk& chunk)
 {
     for (std::size_t i = 0; i < count; ++i) {
+        if (chosen && !chosen[i]) continue;
         const double x = stored[0][i], y = stored[1][i], z = stored[2][i];
         if (map.inRange(x, y, z)) continue;
         if (std::isfinite(x) && std::isfinite(y) && std::isfinite(z)) {
@@ -47,18 +51,35 @@ void sortOut(const CellMap& map, const double (*stored)[kBatch], std::size_t cou
     }
 }
 
-void locateChunk(const ParticleSource& source, const CellMap& map, Chunk& chunk, std::uint32_t* leafOf,
+std::size_t countChosen(const std::uint8_t* chosen, std::size_t count)
+{
+    std::size_t sum = 0;
+    for (std::size_t i = 0; i < count; ++i) sum += chosen[i] != 0;
+    return sum;
+}
+
+void locateChunk(const GridMembers& members, const CellMap& map, Chunk& chunk, std::uint32_t* leafOf,
                  const CancelCheck& cancel)
 {
+    const ParticleSource& source = members.view.source();
     double stored[3][kBatch];
     CellMap::Located at;
     for (std::size_t begin = chunk.begin; begin < chunk.end; begin += kBatch) {
         if (begin / kBatch % 64 == 0) cancel.check();
         const std::size_t n = std::min(kBatch, chunk.end - begin);
+        const std::uint8_t* const chosen = members.chosen.empty() ? nullptr : members.chosen.data() + begin;
+        const std::size_t chosenCount = chosen ? countChosen(chosen, n) : n;
+        chunk.members += chosenCount;
+        if (chosenCount == 0) {
+            std::fill_n(leafOf + begin, n, kNoLeaf);
+            continue;
+        }
         source.read(begin, n, map.reference, stored[0], stored[1], stored[2]);
         const bool allInRange = map.locate(stored, n, at);
+        const bool allChosen = chosenCount == n;
         const auto valid = [&](std::size_t i) {
-            return allInRange || map.inRange(stored[0][i], stored[1][i], stored[2][i]);
+            return (allChosen || chosen[i]) &&
+                   (allInRange || map.inRange(stored[0][i], stored[1][i], stored[2][i]));
         };
         std::uint32_t number = kNoLeaf;
         for (std::size_t i = 0; i < n;) {
@@ -75,7 +96,7 @@ void locateChunk(const ParticleSource& source, const CellMap& map, Chunk& chunk,
             } while (i < n && at.leaf[0][i] == x && at.leaf[1][i] == y && at.leaf[2][i] == z && valid(i));
             chunk.leaves.add(number, static_cast<std::uint32_t>(i - first));
         }
-        if (!allInRange) sortOut(map, stored, n, chunk);
+        if (!allInRange) sortOut(map, stored, chosen, n, chunk);
     }
 }
 
@@ -91,9 +112,10 @@ CapacityError gridDoesNotFit(std::size_t particles, std::size_t leaves, std::uin
                          needed, allowed);
 }
 
-Placement placeParticles(const ParticleSource& source, const CellMap& map, const SearchOptions& options,
+Placement placeParticles(const GridMembers& members, const CellMap& map, const SearchOptions& options,
                          std::uint32_t* leafOf, const CancelCheck& cancel)
 {
+    const ParticleSource& source = members.view.source();
     const std::uint64_t most =
         options.hostMemoryBytes ? options.hostMemoryBytes : std::numeric_limits<std::uint64_t>::max();
     Placement placement;
@@ -102,40 +124,80 @@ Placement placeParticles(const ParticleSource& source, const CellMap& map, const
     std::atomic<std::uint64_t> bytes{0};
     tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t c) {
         LeafTable& leaves = chunks[c].leaves;
-        locateChunk(source, map, chunks[c], leafOf, cancel);
+        locateChunk(members, map, chunks[c], leafOf, cancel);
         leaves.finish();
         const std::uint64_t sum = bytes += leaves.bytes();
         if (sum > most) throw gridDoesNotFit(source.size(), leaves.size(), sum, most);
     });
     for (const Chunk& chunk : chunks) {
+        placement.members += chunk.members;
         placement.nonfinite += chunk.nonfinite;
         placement.outOfRange |= chunk.outOfRange;
     }
     return placement;
 }
 
-// Leaves of all chunks in Morton order; sets the chunks' cursors and the leaves' first slots.
-void mergeLeaves(std::vector<Chunk>& chunks, SparseGridData& grid)
+namespace {
+
+// Which leaves of a chunk touch a leaf of a grid: 1 for those.
+std::vector<std::uint8_t> leavesAround(const LeafTable& leaves, const SparseGridData& around)
+{
+    constexpr std::uint32_t kAtOnce = 64;
+    std::vector<std::uint8_t> touches(leaves.size(), 0);
+    Vec3i origins[kAtOnce];
+    LeafNeighborhood neighborhoods[kAtOnce];
+    for (std::uint32_t begin = 0; begin < leaves.size(); begin += kAtOnce) {
+        const std::uint32_t count = std::min(kAtOnce, leaves.size() - begin);
+        for (std::uint32_t k = 0; k < count; ++k) {
+            const Vec3i& at = leaves.leaf(begin + k);
+            origins[k] = {at[0] * 8, at[1] * 8, at[2] * 8};
+        }
+        around.topology.neighborhoods({origins, count}, neighborhoods);
+        for (std::uint32_t k = 0; k < count; ++k) {
+            const std::uint32_t* const leaf = neighborhoods[k].leaf;
+            touches[begin + k] =
+                std::any_of(leaf, leaf + kLeavesAround, [](std::uint32_t l) { return l != kNoLeaf; });
+        }
+    }
+    return touches;
+}
+
+} // namespace
+
+void mergeLeaves(std::vector<Chunk>& chunks, const SparseGridData* around, SparseGridData& grid)
 {
     struct Entry {
         std::uint64_t key;
         std::uint32_t chunk, local;
     };
+    // Where none is left out these are empty.
+    std::vector<std::vector<std::uint8_t>> isTaken(chunks.size());
+    if (around) {
+        tbb::parallel_for(std::size_t(0), chunks.size(),
+                          [&](std::size_t c) { isTaken[c] = leavesAround(chunks[c].leaves, *around); });
+    }
+    const auto isLeftOut = [&](std::size_t c, std::uint32_t leaf) { return around && !isTaken[c][leaf]; };
     RootOrder roots;
     std::vector<std::size_t> firstEntry(1, 0);
-    for (const Chunk& chunk : chunks) {
-        for (std::uint32_t l = 0; l < chunk.leaves.size(); ++l) roots.add(chunk.leaves.leaf(l));
-        firstEntry.push_back(firstEntry.back() + chunk.leaves.size());
+    for (std::size_t c = 0; c < chunks.size(); ++c) {
+        const LeafTable& leaves = chunks[c].leaves;
+        std::size_t taken = 0;
+        for (std::uint32_t l = 0; l < leaves.size(); ++l) {
+            if (isLeftOut(c, l)) continue;
+            roots.add(leaves.leaf(l));
+            ++taken;
+        }
+        firstEntry.push_back(firstEntry.back() + taken);
     }
     roots.finish();
     std::vector<Entry> entries(firstEntry.back());
     tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t c) {
         const LeafTable& leaves = chunks[c].leaves;
-        Entry* const out = entries.data() + firstEntry[c];
+        Entry* out = entries.data() + firstEntry[c];
         for (std::uint32_t l = 0; l < leaves.size(); ++l) {
-            out[l] = {roots.key(leaves.leaf(l)), static_cast<std::uint32_t>(c), l};
+            if (!isLeftOut(c, l)) *out++ = {roots.key(leaves.leaf(l)), static_cast<std::uint32_t>(c), l};
         }
-        chunks[c].cursor.resize(leaves.size());
+        chunks[c].cursor.assign(leaves.size(), kNoLeaf);
     });
     tbb::parallel_sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) {
         return a.key != b.key ? a.key < b.key : a.chunk < b.chunk;

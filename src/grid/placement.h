@@ -18,23 +18,24 @@ struct Chunk {
     std::size_t begin = 0, end = 0;
     LeafTable leaves;
     std::vector<std::uint32_t> cursor; // by local leaf: next slot to write
-    std::uint64_t nonfinite = 0;
+    std::uint64_t members = 0, nonfinite = 0;
     bool outOfRange = false;
 };
 
 struct Placement {
     std::vector<Chunk> chunks;
-    std::uint64_t nonfinite = 0;
+    std::uint64_t members = 0, nonfinite = 0; // those that are to be sorted, non-finite ones included
     bool outOfRange = false; // a cell coordinate passes the limit: then the rest means nothing
 };
 
-// Finds the leaf of every particle: leafOf[i] is a number in its chunk's table.
+// Finds the leaf of every particle that is to be sorted: leafOf[i] is a number in its chunk's table, kNoLeaf for the others.
 // Throws CapacityError where the leaves pass options.hostMemoryBytes.
-Placement placeParticles(const ParticleSource& source, const CellMap& map, const SearchOptions& options,
+Placement placeParticles(const GridMembers& members, const CellMap& map, const SearchOptions& options,
                          std::uint32_t* leafOf, const CancelCheck& cancel);
 
-// Leaves of all chunks in Morton order; sets the chunks' cursors and the leaves' first slots.
-void mergeLeaves(std::vector<Chunk>& chunks, SparseGridData& grid);
+// Leaves of all chunks in Morton order; sets the chunks' cursors and the leaves' first slots. `around`: leaves that touch none of
+// its leaves are left out, with a cursor of kNoLeaf; null: none is.
+void mergeLeaves(std::vector<Chunk>& chunks, const SparseGridData* around, SparseGridData& grid);
 
 CapacityError gridDoesNotFit(std::size_t particles, std::size_t leaves, std::uint64_t needed,
                              std::uint64_t allowed);

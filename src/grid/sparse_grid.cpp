@@ -14,6 +14,7 @@
 #include "grid/lattice_choice.h"
 #include "grid/placement.h"
 #include "grid/sparse_grid_data.h"
+#include "points/pair_geometry.h"
 #include "points/particle_source.h"
 #include "util/cancel.h"
 #include "util/number_text.h"
@@ -37,20 +38,25 @@ namespace {
 
 constexpr std::size_t kBatch = CellMap::kBatch;
 
-void scatterChunk(const ParticleSource& source, const CellMap& map, Chunk& chunk, const std::uint32_t* leafOf,
+void scatterChunk(const GridMembers& members, const CellMap& map, Chunk& chunk, const std::uint32_t* leafOf,
                   GridScratch::Record* records, const CancelCheck& cancel)
 {
+    const ParticleSource& source = members.view.source();
+    const bool mayBeLeftOut = !members.areAll();
     double stored[3][kBatch];
     CellMap::Located at;
     std::uint32_t* const cursor = chunk.cursor.data();
     for (std::size_t begin = chunk.begin; begin < chunk.end; begin += kBatch) {
         if (begin / kBatch % 64 == 0) cancel.check();
         const std::size_t n = std::min(kBatch, chunk.end - begin);
+        const std::uint32_t* const leaves = leafOf + begin;
+        const auto isSorted = [&](std::uint32_t leaf) { return leaf != kNoLeaf && cursor[leaf] != kNoLeaf; };
+        if (mayBeLeftOut && std::none_of(leaves, leaves + n, isSorted)) continue;
         source.read(begin, n, map.reference, stored[0], stored[1], stored[2]);
         map.locate(stored, n, at);
         for (std::size_t i = 0; i < n; ++i) {
-            const std::uint32_t leaf = leafOf[begin + i];
-            if (leaf == kNoLeaf) continue;
+            const std::uint32_t leaf = leaves[i];
+            if (leaf == kNoLeaf || (mayBeLeftOut && cursor[leaf] == kNoLeaf)) continue;
             records[cursor[leaf]++] = {at.local[0][i], at.local[1][i], at.local[2][i],
                                        static_cast<std::uint32_t>(begin + i)};
         }
@@ -171,27 +177,28 @@ void checkGridCapacity(const SparseGridData& grid, const GridNeed& need, std::ui
 namespace {
 
 // Where the lattice does not fit the grid is left in any state.
-LatticeFit sortIntoCells(const ParticleView& view, const Lattice& lattice, const SearchOptions& options,
+LatticeFit sortIntoCells(const GridMembers& members, const Lattice& lattice, const SearchOptions& options,
                          GridScratch& scratch, SparseGridData& grid)
 {
-    const ParticleSource& source = view.source();
+    const ParticleSource& source = members.view.source();
     const CancelCheck cancel(options.progress, "grid");
-    const CellMap map(source, lattice, options.simd);
+    const CellMap map(source, lattice, options.simd, members.home);
     scratch.leafOf.resizeDiscarding(source.size());
-    Placement placed = placeParticles(source, map, options, scratch.leafOf.data(), cancel);
-    if (placed.outOfRange) return {};
+    Placement placed = placeParticles(members, map, options, scratch.leafOf.data(), cancel);
+    if (placed.outOfRange && !members.around) return {};
     if (placed.nonfinite > 0 && options.nonfinite == NonFinite::kFail) {
-        throw InputError(std::to_string(placed.nonfinite) + " of " + std::to_string(source.size()) +
+        throw InputError(std::to_string(placed.nonfinite) + " of " + std::to_string(placed.members) +
                          " particles have a position that is NaN or infinite: repair them or skip them");
     }
     cancel.update(0.3);
     std::vector<Chunk>& chunks = placed.chunks;
-    mergeLeaves(chunks, grid);
-    grid.view = view;
+    mergeLeaves(chunks, members.around, grid);
+    grid.view = members.view;
     grid.lattice = lattice;
     grid.coordinateError = coordinateErrorOf(map, grid.leafOrigins);
     if (!(grid.coordinateError <= kMaxErrorCells)) return {false, grid.coordinateError};
     grid.nonfiniteCount = placed.nonfinite;
+    grid.finiteCount = placed.members - placed.nonfinite;
     const std::size_t particles = grid.leaves.back().firstSlot;
     GridNeed need{particles, grid.leafCount(), 0, 0};
     need.heldBytes = grid.x.usedBytes() * 4 + scratch.records.usedBytes() + scratch.leafOf.usedBytes();
@@ -200,7 +207,7 @@ LatticeFit sortIntoCells(const ParticleView& view, const Lattice& lattice, const
     checkGridCapacity(grid, need, options.hostMemoryBytes);
     scratch.records.resizeDiscarding(particles);
     tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t c) {
-        scatterChunk(source, map, chunks[c], scratch.leafOf.data(), scratch.records.data(), cancel);
+        scatterChunk(members, map, chunks[c], scratch.leafOf.data(), scratch.records.data(), cancel);
     });
     chunks.clear();
     cancel.update(0.6);
@@ -215,11 +222,13 @@ LatticeFit sortIntoCells(const ParticleView& view, const Lattice& lattice, const
     return {true, grid.coordinateError};
 }
 
-LatticeFit sortOn(const ParticleView& view, const Lattice& lattice, const SearchOptions& options,
+LatticeFit sortOn(const GridMembers& members, const Lattice& lattice, const SearchOptions& options,
                   GridScratch& scratch, SparseGridData& grid)
 {
-    if (lattice.usesVoxels) return {takeOverLeaves(view, lattice, options, grid), 0};
-    return sortIntoCells(view, lattice, options, scratch, grid);
+    if (!lattice.usesVoxels) return sortIntoCells(members, lattice, options, scratch, grid);
+    const bool fits = takeOverLeaves(members.view, lattice, options, grid);
+    grid.finiteCount = grid.particleCount();
+    return {fits, 0};
 }
 
 // Throws InvalidInput for a lattice whose cells cannot be those of the view, whatever its particles.
@@ -243,25 +252,28 @@ void requireSuitable(const ParticleSource& source, const Lattice& lattice)
 
 } // namespace
 
-void buildSparseGrid(const ParticleView& view, const Lattice& lattice, const SearchOptions& options,
+void buildSparseGrid(const GridMembers& members, const Lattice& lattice, const SearchOptions& options,
                      GridScratch& scratch, SparseGridData& grid)
 {
-    const ParticleSource& source = view.source();
-    requireSuitable(source, lattice);
-    const LatticeFit fit = sortOn(view, lattice, options, scratch, grid);
+    const ParticleSource& source = members.view.source();
+    requireSuitable(members.home ? *members.home : source, lattice);
+    const LatticeFit fit = sortOn(members, lattice, options, scratch, grid);
     if (fit.fits) return;
     if (lattice.usesVoxels) {
         throw InputError("the lattice has the voxels as cells, and a particle is more than half a voxel from "
                          "the centre of its own, or a voxel past +-(2^31 - 4096): use a lattice of cells");
     }
-    throw CellMap(source, lattice, options.simd).rangeError(source, fit.coordinateError, std::nullopt);
+    throw CellMap(source, lattice, options.simd, members.home)
+        .rangeError(source, fit.coordinateError, std::nullopt);
 }
 
-void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options,
+void buildSparseGrid(const GridMembers& members, double radius, const SearchOptions& options,
                      GridScratch& scratch, SparseGridData& grid)
 {
-    offerLattices(view.source(), radius, options,
-                  [&](const Lattice& lattice) { return sortOn(view, lattice, options, scratch, grid); });
+    const ParticleSource& home = members.home ? *members.home : members.view.source();
+    const bool mayUseVoxels = members.mayUseVoxels && members.areAll() && !members.home;
+    offerLattices(home, radius, options, members.view.source(), mayUseVoxels,
+                  [&](const Lattice& lattice) { return sortOn(members, lattice, options, scratch, grid); });
 }
 
 bool shareLattice(const SparseGridData& a, const SparseGridData& b)
@@ -275,7 +287,8 @@ std::uint64_t SparseGridData::bytes() const
            leaves.size() * sizeof(LeafRecord) + leafOrigins.size() * sizeof(Vec3i) + topology.bytes();
 }
 
-void SparseGridData::neighborhoodsInReach(std::size_t first, std::size_t end, LeafNeighborhood* out) const
+void SparseGridData::neighborhoodsInReach(const SparseGridData& candidates, std::size_t first,
+                                          std::size_t end, LeafNeighborhood* out) const
 {
     constexpr std::size_t kAtOnce = 64;
     std::uint32_t wanted[kAtOnce];
@@ -283,7 +296,7 @@ void SparseGridData::neighborhoodsInReach(std::size_t first, std::size_t end, Le
         const std::size_t count = std::min(kAtOnce, end - begin);
         for (std::size_t k = 0; k < count; ++k)
             wanted[k] = leavesInReach(leaves[begin + k].occupancy, reach());
-        topology.neighborhoods({leafOrigins.data() + begin, count}, wanted, out + (begin - first));
+        candidates.topology.neighborhoods({leafOrigins.data() + begin, count}, wanted, out + (begin - first));
     }
 }
 

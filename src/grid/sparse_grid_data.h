@@ -19,7 +19,9 @@ struct SparseGridData {
     Lattice lattice;
     double coordinateError =
         0; // bound, in cells, on computed minus true cell coordinates, before rounding to float
-    std::uint64_t nonfiniteCount = 0;
+    std::uint64_t nonfiniteCount = 0; // of those that were to be sorted
+    std::uint64_t finiteCount =
+        0; // the others: as many as slots, but for those that are too far from all of another set
 
     // By slot: position about the leaf's centre in cells, |.| <= 4, and the particle's number.
     PageArray<float> x, y, z;
@@ -37,7 +39,13 @@ struct SparseGridData {
 
     // Of the leaves [first, end), the leaves around that hold cells in reach of theirs; on sparse scenes few. Finds what a
     // search reads: a leaf that no cell reaches has no candidates.
-    void neighborhoodsInReach(std::size_t first, std::size_t end, LeafNeighborhood* out) const;
+    void neighborhoodsInReach(std::size_t first, std::size_t end, LeafNeighborhood* out) const
+    {
+        neighborhoodsInReach(*this, first, end, out);
+    }
+    // The same among the leaves of another grid on this lattice.
+    void neighborhoodsInReach(const SparseGridData& candidates, std::size_t first, std::size_t end,
+                              LeafNeighborhood* out) const;
 };
 
 // Memory of the sort, kept from frame to frame.
@@ -58,11 +66,25 @@ struct GridNeed {
 };
 void checkGridCapacity(const SparseGridData& grid, const GridNeed& need, std::uint64_t hostMemoryBytes);
 
-// Sorts the particles of `view` into `grid`, whose memory is reused: on a lattice, or on the one that suits them and a radius.
+// Which particles are sorted.
+struct GridMembers {
+    ParticleView view;
+    Span<const std::uint8_t> chosen = {}; // by number, not 0 for those; empty: all
+    // Only those near the leaves of this grid, on its lattice: in leaves that touch one of them. Others are left out, however far.
+    const SparseGridData* around = nullptr;
+    // In whose stored coordinates the lattice is; its own unless told.
+    const ParticleSource* home = nullptr;
+    bool mayUseVoxels = true; // as cells, where the lattice is chosen
+
+    GridMembers(const ParticleView& particles) : view(particles) {} // NOLINT: all particles of a view
+    bool areAll() const { return chosen.empty() && !around; }
+};
+
+// Sorts particles into `grid`, whose memory is reused: on a lattice, or on the one that suits them and a radius.
 // Throw as SearchEngine::buildGrid().
-void buildSparseGrid(const ParticleView& view, const Lattice& lattice, const SearchOptions& options,
+void buildSparseGrid(const GridMembers& members, const Lattice& lattice, const SearchOptions& options,
                      GridScratch& scratch, SparseGridData& grid);
-void buildSparseGrid(const ParticleView& view, double radius, const SearchOptions& options,
+void buildSparseGrid(const GridMembers& members, double radius, const SearchOptions& options,
                      GridScratch& scratch, SparseGridData& grid);
 
 // Whether the cells of one are those of the other: particles of both can be searched for each other.

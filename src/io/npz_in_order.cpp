@@ -40,14 +40,15 @@ T* atLeast(std::vector<T>& values, std::size_t size)
 
 } // namespace
 
-NpzInOrder::NpzInOrder(OutputFile& file, std::uint64_t rowCount, std::uint64_t expectedPairs,
-                       const ParticleView* distancesOf, const CancelCheck& cancel)
+NpzInOrder::NpzInOrder(OutputFile& file, const NpzShape& shape, std::uint64_t expectedPairs,
+                       const ListForm& form, const RowGeometry& geometry, const CancelCheck& cancel)
     : mFile(file),
-      mRowCount(rowCount),
-      mValues(distancesOf ? ListValues::kDistance : ListValues::kConnectivity),
-      mDistancesOf(distancesOf),
+      mShape(shape),
+      mForm(form),
+      mHasDistances(form.values == ListValues::kDistance),
+      mGeometry(geometry),
       mCancel(cancel),
-      mExpected(layoutNpz(rowCount, expectedPairs, mValues))
+      mExpected(layoutNpz(shape, expectedPairs, form.values))
 {
 }
 
@@ -88,15 +89,16 @@ NpzInOrder::Crcs NpzInOrder::fill(const RowRun& run, Buffer& buffer)
         const std::uint32_t count = run.counts[k];
         if (k + kRowsAhead < run.rowCount) prefetch(run.rows[k + kRowsAhead], run.counts[k + kRowsAhead]);
         if (count > 0) sorter.sort(run.rows[k], count, next);
+        if (mForm.order == RowOrder::kDistance) mGeometry.order(run.firstRow + k, next, count);
         next += count;
         ends[k] = end += count;
     }
     sorter.releaseLarge();
     if (mExpected.indexBytes == 8) std::copy_n(buffer.numbers.data(), pairs, atLeast(buffer.wide, pairs));
-    if (mDistancesOf) fillDistances(buffer);
+    if (mHasDistances) fillDistances(buffer);
     return {run.rowCount, run.pairCount, crcOf(0, ends, run.rowCount * sizeof *ends),
             crcOf(0, indicesOf(buffer), pairs * mExpected.indexBytes),
-            mDistancesOf ? crcOf(0, buffer.distances.data(), pairs * sizeof(float)) : 0};
+            mHasDistances ? crcOf(0, buffer.distances.data(), pairs * sizeof(float)) : 0};
 }
 
 void NpzInOrder::fillDistances(Buffer& buffer) const
@@ -109,7 +111,7 @@ void NpzInOrder::fillDistances(Buffer& buffer) const
         for (; next < end; ++next) {
             if (next % kDistancesBetweenChecks == 0) mCancel.check();
             distances[next] =
-                static_cast<float>(mDistancesOf->distance(buffer.firstRow + k, buffer.numbers[next]));
+                static_cast<float>(mGeometry.distance(buffer.firstRow + k, buffer.numbers[next]));
         }
     }
 }
@@ -142,13 +144,13 @@ void NpzInOrder::write(const Buffer& buffer)
     };
     reserve(NpzLayout::kIndptr, buffer.firstRow + buffer.rowCount + 1, sizeof(std::int64_t));
     reserve(NpzLayout::kIndices, buffer.firstPair + buffer.pairCount, mExpected.indexBytes);
-    if (mDistancesOf) reserve(NpzLayout::kData, buffer.firstPair + buffer.pairCount, sizeof(float));
+    if (mHasDistances) reserve(NpzLayout::kData, buffer.firstPair + buffer.pairCount, sizeof(float));
     // Before the end of the first row stands a 0.
     writeValues(NpzLayout::kIndptr, buffer.firstRow + 1, buffer.ends.data(), buffer.rowCount,
                 sizeof(std::int64_t));
     writeValues(NpzLayout::kIndices, buffer.firstPair, indicesOf(buffer), buffer.pairCount,
                 mExpected.indexBytes);
-    if (mDistancesOf)
+    if (mHasDistances)
         writeValues(NpzLayout::kData, buffer.firstPair, buffer.distances.data(), buffer.pairCount,
                     sizeof(float));
 }
@@ -185,12 +187,12 @@ void NpzInOrder::pass(std::unique_ptr<Buffer> buffer)
 
 bool NpzInOrder::finish(std::uint64_t pairCount)
 {
-    NpzLayout layout = beginNpz(mRowCount, pairCount, mValues);
+    NpzLayout layout = beginNpz(mShape, pairCount, mForm.values);
     NpzMember& indptr = layout.members[NpzLayout::kIndptr];
     NpzMember& indices = layout.members[NpzLayout::kIndices];
     NpzMember& data = layout.members[NpzLayout::kData];
     if (indices.valueOffset != mExpected.members[NpzLayout::kIndices].valueOffset) return false;
-    if (mDistancesOf && data.valueOffset != mExpected.members[NpzLayout::kData].valueOffset) return false;
+    if (mHasDistances && data.valueOffset != mExpected.members[NpzLayout::kData].valueOffset) return false;
     // No requireRoom(): the rows have their blocks already.
     mFile.reserve(indices.valueOffset + indices.valueBytes,
                   layout.directoryOffset + centralDirectory(layout).size());
@@ -200,17 +202,17 @@ bool NpzInOrder::finish(std::uint64_t pairCount)
     for (const Crcs& run : mRuns) {
         indptr.crc = crcJoined(indptr.crc, run.ends, run.rowCount * sizeof(std::int64_t));
         indices.crc = crcJoined(indices.crc, run.indices, run.pairCount * mExpected.indexBytes);
-        if (mDistancesOf) data.crc = crcJoined(data.crc, run.distances, run.pairCount * sizeof(float));
+        if (mHasDistances) data.crc = crcJoined(data.crc, run.distances, run.pairCount * sizeof(float));
         rows += run.rowCount;
         pairs += run.pairCount;
     }
-    if (rows != mRowCount || pairs != pairCount) { // nothing is renamed then
+    if (rows != mShape.rows || pairs != pairCount) { // nothing is renamed then
         throw OutputError(mFile.path() + ": " + std::to_string(pairs) + " pairs of " + std::to_string(rows) +
                           " rows came instead of " + std::to_string(pairCount) + " of " +
-                          std::to_string(mRowCount));
+                          std::to_string(mShape.rows));
     }
-    if (!mDistancesOf) writeOnes(mFile, data, mCancel);
-    finishNpz(mFile, layout, mRowCount);
+    if (!mHasDistances) writeOnes(mFile, data, mCancel);
+    finishNpz(mFile, layout, mShape);
     return true;
 }
 

@@ -29,8 +29,8 @@ public:
     // `expectedPairs`: the indices stand elsewhere in a file in which they take 4 GiB or more (localHeader()). Where that was
     // expected wrongly, the same runs must come again.
     // Distances stand behind the indices: `expectedPairs` is exact then.
-    NpzInOrder(OutputFile& file, std::uint64_t rowCount, std::uint64_t expectedPairs,
-               const ParticleView* distancesOf, const CancelCheck& cancel);
+    NpzInOrder(OutputFile& file, const NpzShape& shape, std::uint64_t expectedPairs, const ListForm& form,
+               const RowGeometry& geometry, const CancelCheck& cancel);
 
     void take(const RowRun& run) override;
 
@@ -44,7 +44,7 @@ private:
         std::uint64_t firstRow, rowCount, firstPair, pairCount;
         std::vector<std::int64_t> ends;
         std::vector<std::uint32_t> numbers;
-        std::vector<std::int64_t> wide; // instead, past 2^31-1 rows
+        std::vector<std::int64_t> wide; // instead, past 2^31-1 columns
         std::vector<float> distances;
     };
     struct Crcs {
@@ -61,9 +61,10 @@ private:
     void pass(std::unique_ptr<Buffer> buffer);
 
     OutputFile& mFile;
-    const std::uint64_t mRowCount;
-    const ListValues mValues;
-    const ParticleView* const mDistancesOf;
+    const NpzShape mShape;
+    const ListForm mForm;
+    const bool mHasDistances;
+    const RowGeometry& mGeometry;
     const CancelCheck& mCancel;
     const NpzLayout mExpected;
     tbb::enumerable_thread_specific<RowSorter> mSorters;

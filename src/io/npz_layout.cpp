@@ -97,10 +97,11 @@ void putDirectoryEntry(std::string& out, const NpzMember& member)
 
 } // namespace
 
-NpzLayout layoutNpz(std::uint64_t rowCount, std::uint64_t pairCount, ListValues values)
+NpzLayout layoutNpz(const NpzShape& shape, std::uint64_t pairCount, ListValues values)
 {
+    const std::uint64_t rowCount = shape.rows;
     NpzLayout layout;
-    layout.indexBytes = rowCount > 0x7FFFFFFFu ? 8 : 4;
+    layout.indexBytes = shape.columns > 0x7FFFFFFFu ? 8 : 4;
     const bool hasDistances = values == ListValues::kDistance;
     const std::string pairShape = std::to_string(pairCount) + ",";
     NpzMember* const m = layout.members;

@@ -47,9 +47,9 @@ std::uint32_t crcOfOnes(std::uint64_t n)
     return result;
 }
 
-NpzLayout beginNpz(std::uint64_t rowCount, std::uint64_t pairCount, ListValues values)
+NpzLayout beginNpz(const NpzShape& shape, std::uint64_t pairCount, ListValues values)
 {
-    NpzLayout layout = layoutNpz(rowCount, pairCount, values);
+    NpzLayout layout = layoutNpz(shape, pairCount, values);
     for (NpzMember& member : layout.members) {
         member.crc = crcOf(0, member.npyHeader.data(), member.npyHeader.size());
     }
@@ -75,9 +75,10 @@ void writeOnes(OutputFile& file, NpzMember& data, const CancelCheck& cancel)
     data.crc = crcJoined(data.crc, crcOfOnes(data.valueBytes), data.valueBytes);
 }
 
-void finishNpz(OutputFile& file, NpzLayout& layout, std::uint64_t rowCount)
+void finishNpz(OutputFile& file, NpzLayout& layout, const NpzShape& npzShape)
 {
-    const std::int64_t shape[2] = {static_cast<std::int64_t>(rowCount), static_cast<std::int64_t>(rowCount)};
+    const std::int64_t shape[2] = {static_cast<std::int64_t>(npzShape.rows),
+                                   static_cast<std::int64_t>(npzShape.columns)};
     appendValues(file, layout.members[NpzLayout::kShape], 0, shape, sizeof shape,
                  crcOf(0, shape, sizeof shape));
     appendValues(file, layout.members[NpzLayout::kFormat], 0, "csr", 3, crcOf(0, "csr", 3));

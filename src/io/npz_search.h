@@ -13,7 +13,7 @@ namespace vdb_nns {
 
 struct NpzSearchOptions {
     std::string path;
-    ListValues values = ListValues::kConnectivity;
+    ListForm form;
     OutputOptions output;
     bool checksum = false;
     std::uint64_t windowBytes = 0; // most memory of rows that wait for those before them; 0: none may
@@ -26,9 +26,9 @@ struct NpzSearchResult {
 };
 
 // Returns nothing, and writes nothing, if the rows that must wait for others do not fit in `windowBytes`;
-// that is so for particles that are numbered in random order. Throws what SearchEngine::search() and
+// that is so for particles that are numbered in random order, and for sets on several lattices. Throws what SearchEngine::search() and
 // writeNpz() throw. Ignores `search.encoding` and `search.hostMemoryBytes`.
-std::optional<NpzSearchResult> searchToNpz(EngineState& engine, const SparseGrid& grid,
+std::optional<NpzSearchResult> searchToNpz(EngineState& engine, const SearchSets& sets,
                                            const SearchOptions& search, const NpzSearchOptions& options);
 
 } // namespace vdb_nns

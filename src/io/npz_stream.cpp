@@ -8,6 +8,8 @@
 #include "io/npz_parts.h"
 #include "io/output_file.h"
 #include "io/row_sorter.h"
+#include "io/set_geometry.h"
+#include "lists/neighbor_lists_data.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
 #include "util/known_value.h"
@@ -73,7 +75,7 @@ struct StreamedFile {
     const RowPlaces& places;
     const NpzLayout& layout;
     const CancelCheck& cancel;
-    bool hasDistances;
+    bool hasDistances, isOrdered;
 };
 
 // Gathers rows in the order of the file, and writes what follows without a gap.
@@ -81,7 +83,7 @@ class RunWriter {
 public:
     explicit RunWriter(const StreamedFile& shared) : mShared(shared) {}
 
-    // `place`: pairs of the file before the row; `numbers` ascend.
+    // `place`: pairs of the file before the row; `numbers` in the order of the file.
     void add(std::uint32_t row, std::uint64_t place, const std::uint32_t* numbers, std::uint32_t count)
     {
         if (place != mBegin + mStaged) {
@@ -190,7 +192,8 @@ public:
         for (const Row* row = firstRow(); row != lastRow(); ++row) {
             const bool follows = row != firstRow() && row[-1].number + 1 == row->number;
             if (!follows) place = mShared.places.begin(row->number);
-            mWriter.add(row->number, place, mSorter.sorted(values() + row->begin, row->count), row->count);
+            mWriter.add(row->number, place, inOrder(row->number, values() + row->begin, row->count),
+                        row->count);
             place += row->count;
         }
         mWriter.write();
@@ -209,9 +212,17 @@ private:
     void takeLong(std::uint32_t row, Span<const std::uint32_t> numbers)
     {
         const auto count = static_cast<std::uint32_t>(numbers.size());
-        mWriter.add(row, mShared.places.begin(row), mSorter.sorted(numbers.data(), count), count);
+        mWriter.add(row, mShared.places.begin(row), inOrder(row, numbers.data(), count), count);
         mWriter.write();
         mSorter.releaseLarge();
+    }
+
+    // In the order of the file; good until the next call.
+    const std::uint32_t* inOrder(std::uint32_t row, const std::uint32_t* numbers, std::uint32_t count)
+    {
+        std::uint32_t* const sorted = mSorter.sorted(numbers, count);
+        if (mShared.isOrdered) mShared.source.order(row, sorted, count);
+        return sorted;
     }
 
     std::uint32_t* values() const { return static_cast<std::uint32_t*>(mBuffer.data()); }
@@ -287,62 +298,80 @@ void writeRows(const StreamedFile& shared, NpzLayout& layout, std::size_t thread
 class SearchRows final : public NpzRowSource {
 public:
     SearchRows(SearchEngine& engine, const NeighborLists& lists, const SearchOptions& options)
-        : mEngine(engine), mLists(lists), mOptions(options)
+        : mEngine(engine), mLists(lists), mGeometry(lists.sets()), mOptions(options)
     {
     }
 
-    std::vector<std::uint32_t> counts() const override { return mLists.counts(); }
+    std::uint64_t columnCount() const override { return mLists.sets().columnCount(); }
+    std::vector<std::uint32_t> counts() const override
+    {
+        std::vector<std::uint32_t> counts(mLists.size());
+        for (std::size_t row = 0; row < counts.size(); ++row) counts[row] = mLists.data().entriesOf(row);
+        return counts;
+    }
     std::uint64_t pairCount() const override { return mLists.pairCount(); }
 
     void visitRows(const NeighborLists::RowVisitor& visit, Progress* progress) const override
     {
         SearchOptions options = mOptions;
         options.progress = progress;
-        options.radius = mLists.radius();
-        mEngine.visitRows(mLists.grid(), visit, options);
+        options.radius = 0; // that of the sets
+        options.nearest = mLists.data().nearest;
+        options.includeSelf = mLists.data().hasSelf;
+        mEngine.visitRows(mLists.sets(), visit, options);
     }
 
     double distance(std::size_t row, std::size_t neighbor) const override
     {
-        return mLists.view().distance(row, neighbor);
+        return mGeometry.distance(row, neighbor);
+    }
+    void order(std::size_t row, std::uint32_t* numbers, std::size_t count) const override
+    {
+        mGeometry.order(row, numbers, count);
     }
 
 private:
     SearchEngine& mEngine;
     const NeighborLists& mLists;
+    const SetGeometry mGeometry;
     const SearchOptions& mOptions;
 };
 
 } // namespace
 
-void streamNpzRows(const std::string& path, const NpzRowSource& source, ListValues values,
+void streamNpzRows(const std::string& path, const NpzRowSource& source, const ListForm& form,
                    const OutputOptions& output, std::size_t threadBytes, Progress* progress)
 {
     const CancelCheck cancel(progress, "write");
     cancel.update(0);
     OutputFile file(path, output);
     const RowPlaces places(source.counts());
-    NpzLayout layout = beginNpz(places.size(), source.pairCount(), values);
+    const NpzShape shape{places.size(), source.columnCount()};
+    NpzLayout layout = beginNpz(shape, source.pairCount(), form.values);
     beginFile(file, layout);
     writeEnds(file, places, layout.members[NpzLayout::kIndptr], cancel);
     isolated([&] {
-        writeRows({file, source, places, layout, cancel, values == ListValues::kDistance}, layout,
-                  threadBytes, progress);
-        if (values == ListValues::kConnectivity) writeOnes(file, layout.members[NpzLayout::kData], cancel);
+        writeRows({file, source, places, layout, cancel, form.values == ListValues::kDistance,
+                   form.order == RowOrder::kDistance},
+                  layout, threadBytes, progress);
+        if (form.values == ListValues::kConnectivity)
+            writeOnes(file, layout.members[NpzLayout::kData], cancel);
     });
-    finishNpz(file, layout, places.size());
+    finishNpz(file, layout, shape);
     cancel.update(1);
     file.commit();
 }
 
-void streamNpz(const std::string& path, SearchEngine& engine, const NeighborLists& counts, ListValues values,
-               const OutputOptions& output, std::uint64_t bufferBytes, const SearchOptions& options)
+void streamNpz(const std::string& path, SearchEngine& engine, const NeighborLists& counts,
+               const ListForm& form, const OutputOptions& output, std::uint64_t bufferBytes,
+               const SearchOptions& options)
 {
-    requireKnown(values, ListValues::kDistance, "kind of values");
+    requireKnown(form.values, ListValues::kDistance, "kind of values");
+    requireKnown(form.order, RowOrder::kDistance, "order of rows");
     const auto threads = static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());
     const std::uint64_t threadBytes =
         bufferBytes ? std::min(bufferBytes / threads, kMostThreadBytes) : kThreadBytes;
-    streamNpzRows(path, SearchRows(engine, counts, options), values, output,
+    streamNpzRows(path, SearchRows(engine, counts, options), form, output,
                   static_cast<std::size_t>(threadBytes), options.progress);
 }
 

@@ -6,6 +6,8 @@
 #include "io/npz_parts.h"
 #include "io/output_file.h"
 #include "io/row_sorter.h"
+#include "io/set_geometry.h"
+#include "lists/neighbor_lists_data.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
 #include "util/known_value.h"
@@ -57,12 +59,14 @@ struct Block {
 
 class NpzStream {
 public:
-    NpzStream(OutputFile& file, const NpzRows& rows, ListValues values, const CancelCheck& cancel)
+    NpzStream(OutputFile& file, const NpzRows& rows, const ListForm& form, const CancelCheck& cancel)
         : mFile(file),
           mRows(rows),
           mCancel(cancel),
-          mHasDistances(values == ListValues::kDistance),
-          mLayout(beginNpz(rows.size(), rows.pairCount(), values))
+          mHasDistances(form.values == ListValues::kDistance),
+          mIsOrdered(form.order == RowOrder::kDistance),
+          mShape{rows.size(), rows.columnCount()},
+          mLayout(beginNpz(mShape, rows.pairCount(), form.values))
     {
     }
 
@@ -93,7 +97,7 @@ public:
         }
         NpzMember& data = mLayout.members[NpzLayout::kData];
         if (!mHasDistances) data.crc = crcJoined(data.crc, crcOfOnes(mRows.pairCount()), mRows.pairCount());
-        finishNpz(mFile, mLayout, mRows.size());
+        finishNpz(mFile, mLayout, mShape);
     }
 
 private:
@@ -138,6 +142,7 @@ private:
         for (std::size_t i = task.rowBegin; i < task.rowEnd; ++i) {
             std::uint32_t* const rowEnd = block.indices.data() + block.pairsBefore(i + 1);
             sortInto(i, row, rowEnd, taskEnd);
+            if (mIsOrdered) mRows.order(i, row, static_cast<std::size_t>(rowEnd - row));
             if (mHasDistances) {
                 float* distance = block.distances.data() + (row - block.indices.data());
                 for (; row != rowEnd; ++row) *distance++ = static_cast<float>(mRows.distance(i, *row));
@@ -210,7 +215,8 @@ private:
     OutputFile& mFile;
     const NpzRows& mRows;
     const CancelCheck& mCancel;
-    const bool mHasDistances;
+    const bool mHasDistances, mIsOrdered;
+    const NpzShape mShape;
     NpzLayout mLayout;
     tbb::enumerable_thread_specific<Sorting> mSorting;
     std::vector<std::int8_t> mOnes;
@@ -219,11 +225,12 @@ private:
 // Rows of lists in either encoding.
 class ListRows final : public NpzRows {
 public:
-    explicit ListRows(const NeighborLists& lists) : mLists(lists) {}
+    explicit ListRows(const NeighborLists& lists) : mLists(lists), mGeometry(lists.sets()) {}
 
     std::size_t size() const override { return mLists.size(); }
     std::uint64_t pairCount() const override { return mLists.pairCount(); }
-    std::uint32_t count(std::size_t row) const override { return mLists.count(row); }
+    std::size_t columnCount() const override { return mLists.sets().columnCount(); }
+    std::uint32_t count(std::size_t row) const override { return mLists.data().entriesOf(row); }
 
     void copyRow(std::size_t row, std::uint32_t* out) const override
     {
@@ -239,35 +246,42 @@ public:
 
     double distance(std::size_t row, std::size_t neighbor) const override
     {
-        return mLists.view().distance(row, neighbor);
+        return mGeometry.distance(row, neighbor);
+    }
+
+    void order(std::size_t row, std::uint32_t* numbers, std::size_t count) const override
+    {
+        mGeometry.order(row, numbers, count);
     }
 
 private:
     const NeighborLists& mLists;
+    const SetGeometry mGeometry;
 };
 
 } // namespace
 
-void writeNpzRows(const std::string& path, const NpzRows& rows, ListValues values,
+void writeNpzRows(const std::string& path, const NpzRows& rows, const ListForm& form,
                   const OutputOptions& options, Progress* progress)
 {
     const CancelCheck cancel(progress, "write");
     cancel.update(0);
     OutputFile file(path, options);
-    isolated([&] { NpzStream(file, rows, values, cancel).write(); });
+    isolated([&] { NpzStream(file, rows, form, cancel).write(); });
     cancel.update(1);
     file.commit();
 }
 
-void writeNpz(const std::string& path, const NeighborLists& lists, ListValues values,
+void writeNpz(const std::string& path, const NeighborLists& lists, const ListForm& form,
               const OutputOptions& options, Progress* progress)
 {
-    requireKnown(values, ListValues::kDistance, "kind of values");
+    requireKnown(form.values, ListValues::kDistance, "kind of values");
+    requireKnown(form.order, RowOrder::kDistance, "order of rows");
     if (lists.encoding() == Encoding::kNone) {
         throw InvalidInput(path +
                            ": counts alone (encoding none) are no lists; search with encoding index or mask");
     }
-    writeNpzRows(path, ListRows(lists), values, options, progress);
+    writeNpzRows(path, ListRows(lists), form, options, progress);
 }
 
 } // namespace vdb_nns

@@ -28,10 +28,13 @@ struct NpzLayout {
     enum { kIndptr, kIndices, kData, kShape, kFormat, kMembers };
     NpzMember members[kMembers];
     std::uint64_t directoryOffset = 0;
-    std::size_t indexBytes = 4; // of one value of `indices`: 4, or 8 past 2^31-1 rows
+    std::size_t indexBytes = 4; // of one value of `indices`: 4, or 8 past 2^31-1 columns
 };
 
-NpzLayout layoutNpz(std::uint64_t rowCount, std::uint64_t pairCount, ListValues values);
+struct NpzShape {
+    std::uint64_t rows, columns;
+};
+NpzLayout layoutNpz(const NpzShape& shape, std::uint64_t pairCount, ListValues values);
 
 // What stands at localOffset, up to valueOffset: the local file header, its padding and the .npy header.
 std::string localHeader(const NpzMember& member);
@@ -39,20 +42,28 @@ std::string localHeader(const NpzMember& member);
 // What stands at directoryOffset, to the end of the file.
 std::string centralDirectory(const NpzLayout& layout);
 
-// The lists to write. Called from several threads at once.
-class NpzRows {
+// What the numbers of rows stand for. Called from several threads at once.
+class RowGeometry {
 public:
-    virtual ~NpzRows() = default;
+    virtual ~RowGeometry() = default;
+    virtual double distance(std::size_t row, std::size_t neighbor) const = 0;
+    // Puts the numbers of a row, which ascend, into the order of the file.
+    virtual void order(std::size_t /*row*/, std::uint32_t* /*numbers*/, std::size_t /*count*/) const {}
+};
+
+// The lists to write. Called from several threads at once.
+class NpzRows : public RowGeometry {
+public:
     virtual std::size_t size() const = 0;
+    virtual std::size_t columnCount() const { return size(); }
     virtual std::uint64_t pairCount() const = 0;
     virtual std::uint32_t count(std::size_t row) const = 0;
     // Writes the count(row) numbers of a row, in any order.
     virtual void copyRow(std::size_t row, std::uint32_t* out) const = 0;
-    virtual double distance(std::size_t row, std::size_t neighbor) const = 0;
 };
 
 // writeNpz() of point_file.h for rows of any origin.
-void writeNpzRows(const std::string& path, const NpzRows& rows, ListValues values,
+void writeNpzRows(const std::string& path, const NpzRows& rows, const ListForm& form,
                   const OutputOptions& options, Progress* progress);
 
 } // namespace vdb_nns

@@ -28,7 +28,7 @@ public:
     }
 
     // The same, to memory of its own, which is good until the next call.
-    const std::uint32_t* sorted(const std::uint32_t* row, std::size_t count)
+    std::uint32_t* sorted(const std::uint32_t* row, std::size_t count)
     {
         if (mSorted.size() < count + kSortOverrun) mSorted.resize(count + kSortOverrun);
         sort(row, count, mSorted.data());

@@ -60,11 +60,11 @@ void HostBudget::begin()
     mFreeBytes = mBoundBytes - needed;
 }
 
-void HostBudget::beginLists(const SparseGrid& grid, std::uint64_t reusableBytes)
+void HostBudget::beginLists(const SearchSets& sets, std::uint64_t reusableBytes)
 {
     mHasGrid = true;
     if (isBounded()) return;
-    mFreeBytes = difference(availableMemoryBytes() + grid.bytes() + reusableBytes, mReserveBytes);
+    mFreeBytes = difference(availableMemoryBytes() + sets.bytes() + reusableBytes, mReserveBytes);
 }
 
 // Of the outputs, which are written one after the other, the largest need. Without lists the rows of an .npz are streamed.
@@ -75,14 +75,14 @@ std::uint64_t HostBudget::writerBytes(std::uint64_t points, Encoding encoding) c
     return std::max(mWritten.npz ? npz : 0, mWritten.vdb ? kVdbWriter + kVdbWriterPerPoint * points : 0);
 }
 
-std::uint64_t HostBudget::listBytes(const SparseGrid& grid, Encoding encoding) const
+std::uint64_t HostBudget::listBytes(const SearchSets& sets, Encoding encoding) const
 {
-    const std::uint64_t points = grid.view().size(), leaves = grid.leafCount();
+    const std::uint64_t points = sets.rowCount(), leaves = sets.leafCount();
     std::uint64_t beside = kNumberBytes * points + kTaskBytes * leaves + writerBytes(points, encoding);
     if (encoding == Encoding::kMask) {
-        beside += kMaskTaskBytes * leaves + kMaskCellBytes * (grid.cellCount() + leaves);
+        beside += kMaskTaskBytes * leaves + kMaskCellBytes * (sets.cellCount() + leaves);
     }
-    const std::uint64_t needed = grid.bytes() + kCountBytes * points + beside;
+    const std::uint64_t needed = sets.bytes() + kCountBytes * points + beside;
     if (needed > mFreeBytes && encoding == Encoding::kNone) {
         throw CapacityError("the grid and the counts of " + std::to_string(points) + " particles need " +
                                 std::to_string(needed) + " bytes, allowed are " + std::to_string(mFreeBytes) +
@@ -92,18 +92,18 @@ std::uint64_t HostBudget::listBytes(const SparseGrid& grid, Encoding encoding) c
     return std::max<std::uint64_t>(1, difference(mFreeBytes, beside)); // 0 would be no bound
 }
 
-std::uint64_t HostBudget::windowBytes(const SparseGrid& grid) const
+std::uint64_t HostBudget::windowBytes(const SearchSets& sets) const
 {
-    const std::uint64_t points = grid.view().size();
-    return difference(mFreeBytes, grid.bytes() + (kNumberBytes + 2 * kCountBytes) * points +
-                                      kOrderedTaskBytes * grid.leafCount() + mThreads * kStagingBytes);
+    const std::uint64_t points = sets.rowCount();
+    return difference(mFreeBytes, sets.bytes() + (kNumberBytes + 2 * kCountBytes) * points +
+                                      kOrderedTaskBytes * sets.leafCount() + mThreads * kStagingBytes);
 }
 
-std::uint64_t HostBudget::bufferBytes(const SparseGrid& grid) const
+std::uint64_t HostBudget::bufferBytes(const SearchSets& sets) const
 {
-    const std::uint64_t points = grid.view().size();
+    const std::uint64_t points = sets.rowCount();
     const std::uint64_t held =
-        grid.bytes() + (kNumberBytes + kCountBytes + kPlaceBytes) * points + kTaskBytes * grid.leafCount();
+        sets.bytes() + (kNumberBytes + kCountBytes + kPlaceBytes) * points + kTaskBytes * sets.leafCount();
     return std::clamp(difference(mFreeBytes, held), mThreads * kLeastBuffer,
                       mThreads * (isBounded() ? kLargestBuffer : kUsualBuffer));
 }

@@ -24,17 +24,17 @@ public:
     std::uint64_t gridBytes() const { return isBounded() ? mFreeBytes : 0; }
 
     // Without a bound: takes what is free now, the grid's memory, and what the engine can use again.
-    void beginLists(const SparseGrid& grid, std::uint64_t reusableBytes);
+    void beginLists(const SearchSets& sets, std::uint64_t reusableBytes);
 
     // SearchOptions::hostMemoryBytes while lists are made. Throws CapacityError for counts that do not fit; of other lists the
     // search itself finds that out.
-    std::uint64_t listBytes(const SparseGrid& grid, Encoding encoding) const;
+    std::uint64_t listBytes(const SearchSets& sets, Encoding encoding) const;
 
     // What rows may take that wait for others to be written (searchToNpz()); 0 where the counts do not fit.
-    std::uint64_t windowBytes(const SparseGrid& grid) const;
+    std::uint64_t windowBytes(const SearchSets& sets) const;
 
     // What the threads of streamNpz() may collect together.
-    std::uint64_t bufferBytes(const SparseGrid& grid) const;
+    std::uint64_t bufferBytes(const SearchSets& sets) const;
 
     // Runs a step; a CapacityError that it throws says where the memory went.
     template <typename F>

@@ -2,6 +2,7 @@
 // that one. On devices each try is planned anew.
 #include "vdb_nns/search_job.h"
 
+#include "grid/search_sets_data.h"
 #include "io/npz_search.h"
 #include "job/host_budget.h"
 #include "search/engine_state.h"
@@ -18,12 +19,12 @@
 namespace vdb_nns {
 namespace {
 
-// Whether particles that are near each other in space mostly have numbers that are near too, as those of a .vdb do.
-bool isNumberedAlongSpace(const SparseGrid& grid)
+// Whether queries that are near each other in space mostly have numbers that are near too, as those of a .vdb do.
+bool isNumberedAlongSpace(const SearchSets& sets)
 {
     constexpr std::size_t kSamples = 1024;
     constexpr std::uint32_t kNear = 4096;
-    const Span<const std::uint32_t> numbers = grid.particleNumbers();
+    const PageArray<std::uint32_t>& numbers = sets.data().parts.front().queries->number;
     if (numbers.size() < 2) return true;
     std::size_t near = 0;
     for (std::size_t k = 0; k < kSamples; ++k) {
@@ -35,9 +36,9 @@ bool isNumberedAlongSpace(const SparseGrid& grid)
 }
 
 // Where the cells are wider than the radius, masks are larger than they need be.
-bool hasWideCells(const SparseGrid& grid, const JobOptions& options)
+bool hasWideCells(const SearchSets& sets, const JobOptions& options)
 {
-    return options.search.cellSize == 0 && grid.cellSize() > 1.01 * grid.radius();
+    return options.search.cellSize == 0 && sets.cellSize() > 1.01 * sets.radius();
 }
 
 // Whether the lists are counts, and their rows are made again as they are written.
@@ -49,17 +50,18 @@ bool isStreamed(const JobOptions& options)
 // Takes less memory with the same output. Rows that go straight to an .npz are the fastest where their order is about that of
 // the file; else masks, which take a quarter of the memory or less, in cells of the radius where wider ones are too much. Says
 // what is done instead; empty: nothing is left.
-std::string takeLess(const SparseGrid& grid, JobOptions& options)
+std::string takeLess(const SearchSets& sets, JobOptions& options)
 {
     const Encoding encoding = options.search.encoding;
-    if (encoding == Encoding::kMask && hasWideCells(grid, options)) {
+    if (encoding == Encoding::kMask && hasWideCells(sets, options)) {
         options.search.cellSize = 1;
         return "the grid is made again in cells of the radius";
     }
     const bool mayStream = options.mayStream && encoding != Encoding::kNone;
-    if (options.mayUseMasks && encoding == Encoding::kIndex && !(mayStream && isNumberedAlongSpace(grid))) {
+    const bool mayUseMasks = options.mayUseMasks && options.search.nearest == 0;
+    if (mayUseMasks && encoding == Encoding::kIndex && !(mayStream && isNumberedAlongSpace(sets))) {
         options.search.encoding = Encoding::kMask;
-        if (hasWideCells(grid, options)) options.search.cellSize = 1;
+        if (hasWideCells(sets, options)) options.search.cellSize = 1;
         return "lists are held as masks instead";
     }
     if (!mayStream) return {};
@@ -84,17 +86,18 @@ public:
         mReport.settled.device.estimate.radius = mReport.settled.search.radius;
     }
 
-    NeighborLists run(const ParticleView& view, double radius)
+    NeighborLists run(const ParticleSet& candidates, const ParticleSet& queries, const Radius& radius)
     {
         return mBudget.explained([&] {
-            SparseGrid grid = makeGrid(view, radius);
+            const auto makeSets = [&] { return sort(candidates, queries, radius); };
+            SearchSets sets = makeSets();
             const double start = wallSeconds(), gridSeconds = mReport.gridSeconds;
-            mBudget.beginLists(grid, reusableBytes());
-            const NeighborLists lists = searchAndWrite(std::move(grid));
+            mBudget.beginLists(sets, reusableBytes());
+            const NeighborLists lists = searchAndWrite(std::move(sets), makeSets);
             const double otherSeconds = mPlanningSeconds + mReport.gridSeconds - gridSeconds;
             mReport.searchSeconds = wallSeconds() - start - otherSeconds - mReport.writeSeconds;
             mReport.streamed = mReport.written || isStreamed(mReport.settled);
-            mReport.streamBufferBytes = mBudget.bufferBytes(lists.grid());
+            mReport.streamBufferBytes = mBudget.bufferBytes(lists.sets());
             return lists;
         });
     }
@@ -102,7 +105,8 @@ public:
     JobPlan plan(const ParticleView& view, double radius)
     {
         JobPlan result;
-        result.grid = mBudget.explained([&] { return makeGrid(view, radius); });
+        result.grid = mBudget.explained(
+            [&] { return SparseGrid(sort(view, view, radius).data().parts.front().queries); });
         result.gridSeconds = mReport.gridSeconds;
         const SearchOptions& search = mReport.settled.search;
         result.plan = makePlan(result.grid, mReport.settled.device, search.encoding, PlanDetail::kFull,
@@ -111,54 +115,56 @@ public:
     }
 
 private:
-    SparseGrid makeGrid(const ParticleView& view, double radius)
+    SearchSets sort(const ParticleSet& candidates, const ParticleSet& queries, const Radius& radius)
     {
         const double start = wallSeconds();
         if (mBudget.isBounded()) forget(); // the grid's sort needs the room of the last lists
         mBudget.begin();
         SearchOptions options = mReport.settled.search;
         options.hostMemoryBytes = mBudget.gridBytes();
-        SparseGrid grid = mEngine.buildGrid(view, radius, options);
+        SearchSets sets = mEngine.sort(candidates, queries, radius, options);
         if (mBudget.isBounded()) returnFreedMemory();
         mReport.gridSeconds += wallSeconds() - start;
-        return grid;
+        return sets;
     }
 
     // Counts of rows that went to the file at once, or lists.
-    NeighborLists searchAndWrite(SparseGrid grid)
+    template <typename MakeSets>
+    NeighborLists searchAndWrite(SearchSets sets, const MakeSets& makeSets)
     {
         const JobOptions& options = mReport.settled;
         const bool isWanted = options.npz && options.search.encoding == Encoding::kIndex;
         if (isWanted && options.device.devices.empty()) {
             const NpzTarget& target = *options.npz;
-            const NpzSearchOptions npz{target.path, target.values, target.output, target.checksum,
-                                       mBudget.windowBytes(grid)};
-            if (std::optional<NpzSearchResult> result = searchToNpz(mState, grid, options.search, npz)) {
+            const NpzSearchOptions npz{target.path, target.form, target.output, target.checksum,
+                                       mBudget.windowBytes(sets)};
+            if (std::optional<NpzSearchResult> result = searchToNpz(mState, sets, options.search, npz)) {
                 mReport.written = true;
                 mReport.writeSeconds = result->writeSeconds;
                 if (target.checksum) mReport.checksum = result->checksum;
                 return result->lists;
             }
         }
-        return search(std::move(grid));
+        return search(std::move(sets), makeSets);
     }
 
     // Lists in the first encoding that fits.
-    NeighborLists search(SparseGrid grid)
+    template <typename MakeSets>
+    NeighborLists search(SearchSets sets, const MakeSets& makeSets)
     {
         JobOptions& options = mReport.settled;
         for (;;) {
             try {
                 SearchOptions search = options.search;
-                search.hostMemoryBytes = mBudget.listBytes(grid, search.encoding);
-                if (options.device.devices.empty()) return mEngine.search(grid, search);
-                return searchOnDevices(grid, search);
+                search.hostMemoryBytes = mBudget.listBytes(sets, search.encoding);
+                if (options.device.devices.empty()) return mEngine.search(sets, search);
+                return searchOnDevices(gridOf(sets), search);
             } catch (const CapacityError& error) {
                 const double cellSize = options.search.cellSize;
-                const std::string instead = takeLess(grid, options);
+                const std::string instead = takeLess(sets, options);
                 if (instead.empty()) throw;
                 mReport.notes.push_back(error.what() + ("; " + instead));
-                if (options.search.cellSize != cellSize) grid = narrowGrid(std::move(grid));
+                if (options.search.cellSize != cellSize) sets = narrow(std::move(sets), makeSets);
             }
         }
     }
@@ -176,16 +182,28 @@ private:
         return mEngine.search(grid, mReport.plan->schedule, mReport.plan->devices, run, *mReport.run);
     }
 
-    // The grid once more, in the cells of the options.
-    SparseGrid narrowGrid(SparseGrid grid)
+    // The one grid that devices search.
+    static SparseGrid gridOf(const SearchSets& sets)
     {
-        const ParticleView view = grid.view();
-        const double radius = grid.radius();
-        grid = SparseGrid();
+        const SearchSetsData& data = sets.data();
+        if (data.parts.size() != 1 || data.parts[0].queries != data.parts[0].candidates ||
+            !data.radius.isOne()) {
+            throw InvalidInput(
+                "devices search all particles within one radius: search other queries, groups and "
+                "radii of particles without devices");
+        }
+        return SparseGrid(data.parts[0].queries);
+    }
+
+    // The sets once more, in the cells of the options.
+    template <typename MakeSets>
+    SearchSets narrow(SearchSets sets, const MakeSets& makeSets)
+    {
+        sets = SearchSets();
         forget(); // memory was short
-        SparseGrid narrow = makeGrid(view, radius);
-        mBudget.beginLists(narrow, 0);
-        return narrow;
+        SearchSets again = makeSets();
+        mBudget.beginLists(again, 0);
+        return again;
     }
 
     void forget() { mState = EngineState(); }
@@ -213,7 +231,13 @@ private:
 NeighborLists SearchEngine::findNeighbors(const ParticleView& view, double radius, const JobOptions& options,
                                           JobReport& report)
 {
-    return Job(*this, *mImpl, options, report).run(view, radius);
+    return findNeighbors(view, view, radius, options, report);
+}
+
+NeighborLists SearchEngine::findNeighbors(const ParticleSet& candidates, const ParticleSet& queries,
+                                          const Radius& radius, const JobOptions& options, JobReport& report)
+{
+    return Job(*this, *mImpl, options, report).run(candidates, queries, radius);
 }
 
 JobPlan SearchEngine::planJob(const ParticleView& view, double radius, const JobOptions& options)
@@ -229,13 +253,13 @@ NeighborLists findNeighbors(const ParticleView& view, double radius, const JobOp
 }
 
 void writeJobNpz(const std::string& path, SearchEngine& engine, const NeighborLists& lists,
-                 const JobReport& report, ListValues values, const OutputOptions& output)
+                 const JobReport& report, const ListForm& form, const OutputOptions& output)
 {
     const SearchOptions& search = report.settled.search;
     if (report.streamed) {
-        streamNpz(path, engine, lists, values, output, report.streamBufferBytes, search);
+        streamNpz(path, engine, lists, form, output, report.streamBufferBytes, search);
     } else {
-        writeNpz(path, lists, values, output, search.progress);
+        writeNpz(path, lists, form, output, search.progress);
     }
 }
 

@@ -46,13 +46,14 @@ struct OccupiedCell {
     std::uint64_t rowWords() const { return (candidates + 31) / 32; } // of a mask row
 };
 
-// Calls f(OccupiedCell) for each occupied cell of a leaf, in the order of slots.
+// Calls f(OccupiedCell) for each occupied cell of a leaf of the queries, in the order of slots. `neighborhood`: leaves of the
+// candidates around it.
 template <typename F>
-void forEachOccupiedCell(const BlockView& block, std::uint32_t leafIndex,
+void forEachOccupiedCell(const BlockView& queries, const BlockView& block, std::uint32_t leafIndex,
                          const LeafNeighborhood& neighborhood, F&& f)
 {
-    const LeafRecord& leaf = block.leaves[leafIndex];
-    const std::uint32_t* cell = block.cellStart + leaf.firstCell;
+    const LeafRecord& leaf = queries.leaves[leafIndex];
+    const std::uint32_t* cell = queries.cellStart + leaf.firstCell;
     for (int x = 0; x < 8; ++x) {
         for (std::uint64_t word = leaf.occupancy[x]; word; word &= word - 1, ++cell) {
             const int bit = __builtin_ctzll(word);
@@ -63,6 +64,14 @@ void forEachOccupiedCell(const BlockView& block, std::uint32_t leafIndex,
             f(OccupiedCell{cell[0], cell[1], candidates, x, word & -word});
         }
     }
+}
+
+// Where the queries are the candidates.
+template <typename F>
+void forEachOccupiedCell(const BlockView& block, std::uint32_t leafIndex,
+                         const LeafNeighborhood& neighborhood, F&& f)
+{
+    forEachOccupiedCell(block, block, leafIndex, neighborhood, f);
 }
 
 } // namespace vdb_nns

@@ -26,14 +26,15 @@ void requireLists(const NeighborListsData& lists)
     }
 }
 
-// Calls f(first slot, end slot, candidate runs) for each occupied cell of a leaf; runs is a vector of slot ranges.
+// Calls f(first slot, end slot, candidate runs) for each occupied cell of a leaf of the queries' grid; runs is a vector of slot
+// ranges of the candidates' grid.
 using Runs = std::vector<std::pair<std::uint32_t, std::uint32_t>>;
 
 template <typename F>
-void forEachCell(const SparseGridData& grid, const LeafNeighborhood& neighborhood, std::size_t leafIndex,
-                 F&& f)
+void forEachCell(const SearchPart& part, const LeafNeighborhood& neighborhood, std::size_t leafIndex, F&& f)
 {
-    const BlockView block = blockViewOf(grid);
+    const SparseGridData& grid = *part.queries;
+    const BlockView block = blockViewOf(*part.candidates);
     const LeafRecord& leaf = grid.leaves[leafIndex];
     std::uint32_t cell = leaf.firstCell;
     Runs runs;
@@ -57,7 +58,7 @@ std::uint32_t wordsOf(const Runs& runs)
     return static_cast<std::uint32_t>((candidates + 31) / 32);
 }
 
-// Appends the numbers of the set bits of one row.
+// Appends the numbers of the set bits of one row; `grid` is that of the candidates.
 void decodeRow(const SparseGridData& grid, const Runs& runs, const std::uint32_t* words,
                std::vector<std::uint32_t>& out)
 {
@@ -85,24 +86,27 @@ const MaskRun& runOf(const std::vector<MaskRun>& runs, std::uint32_t slot)
 }
 
 // Hands out each cell's rows, cut where a task of the search ended: f(first slot, end slot, runs, words of a row,
-// first row).
+// first row). Slots are those of the part.
 template <typename F>
-void forEachMaskCell(const NeighborListsData& lists, std::size_t firstLeaf, std::size_t endLeaf, F&& f)
+void forEachMaskCell(const NeighborListsData& lists, const SearchPart& part, std::size_t firstLeaf,
+                     std::size_t endLeaf, F&& f)
 {
-    const SparseGridData& grid = lists.grid.data();
+    const SparseGridData& grid = *part.queries;
     std::vector<LeafNeighborhood> neighborhoods(endLeaf - firstLeaf);
-    grid.topology.neighborhoods({grid.leafOrigins.data() + firstLeaf, endLeaf - firstLeaf},
-                                neighborhoods.data());
-    auto run = &runOf(lists.maskRuns, grid.leaves[firstLeaf].firstSlot);
+    part.candidates->topology.neighborhoods({grid.leafOrigins.data() + firstLeaf, endLeaf - firstLeaf},
+                                            neighborhoods.data());
+    auto run = &runOf(lists.maskRuns, part.firstRow + grid.leaves[firstLeaf].firstSlot);
     const std::uint32_t* words = run->words;
     const MaskRun* const last = &lists.maskRuns.back();
     for (std::size_t l = firstLeaf; l < endLeaf; ++l) {
-        forEachCell(grid, neighborhoods[l - firstLeaf], l,
+        forEachCell(part, neighborhoods[l - firstLeaf], l,
                     [&](std::uint32_t begin, std::uint32_t end, const Runs& runs) {
                         const std::uint32_t rowWords = wordsOf(runs);
                         while (begin < end) {
-                            while (run != last && run[1].firstSlot <= begin) words = (++run)->words;
-                            const std::uint32_t stop = run == last ? end : std::min(end, run[1].firstSlot);
+                            const std::uint32_t row = part.firstRow + begin;
+                            while (run != last && run[1].firstSlot <= row) words = (++run)->words;
+                            const std::uint32_t stop =
+                                run == last ? end : std::min(end, run[1].firstSlot - part.firstRow);
                             f(begin, stop, runs, rowWords, words);
                             words += std::size_t(stop - begin) * rowWords;
                             begin = stop;
@@ -114,23 +118,26 @@ void forEachMaskCell(const NeighborListsData& lists, std::size_t firstLeaf, std:
 void makeDirectory(const NeighborListsData& lists)
 {
     // Tasks of a search begin with a leaf or inside one, so walking from the first leaf meets every task's start.
-    const std::size_t leaves = lists.grid.leafCount();
     std::vector<MaskRun>& directory = lists.directory;
-    if (leaves == 0) return;
-    directory.reserve(lists.grid.cellCount() +
+    directory.reserve(lists.sets.cellCount() +
                       lists.maskRuns.size()); // a cell is cut where a task of the search ended
-    forEachMaskCell(
-        lists, 0, leaves,
-        [&](std::uint32_t begin, std::uint32_t, const Runs&, std::uint32_t, const std::uint32_t* words) {
-            directory.push_back({begin, words});
-        });
+    for (const SearchPart& part : lists.sets.data().parts) {
+        if (part.queries->leafCount() == 0) continue;
+        forEachMaskCell(
+            lists, part, 0, part.queries->leafCount(),
+            [&](std::uint32_t begin, std::uint32_t, const Runs&, std::uint32_t, const std::uint32_t* words) {
+                directory.push_back({part.firstRow + begin, words});
+            });
+    }
     lists.directoryBytes = directory.size() * sizeof(MaskRun);
 }
 
-// Finds the cell of a slot: its leaf, then its place in it.
-void decodeSlot(const NeighborListsData& lists, std::uint32_t slot, std::vector<std::uint32_t>& out)
+// Finds the cell of a row's query: its leaf, then its place in it.
+void decodeSlot(const NeighborListsData& lists, std::uint32_t row, std::vector<std::uint32_t>& out)
 {
-    const SparseGridData& grid = lists.grid.data();
+    const SearchPart& part = lists.partOf(row);
+    const SparseGridData& grid = *part.queries;
+    const std::uint32_t slot = row - part.firstRow;
     const auto next =
         std::upper_bound(grid.leaves.begin(), grid.leaves.end(), slot,
                          [](std::uint32_t s, const LeafRecord& leaf) { return s < leaf.firstSlot; });
@@ -140,7 +147,7 @@ void decodeSlot(const NeighborListsData& lists, std::uint32_t slot, std::vector<
     const std::uint32_t* const cellEnd = grid.cellStart.data() + next->firstCell;
     auto k = static_cast<std::uint32_t>(std::upper_bound(cells, cellEnd, slot) - cells - 1);
     LeafNeighborhood neighborhood;
-    grid.topology.neighborhoods({&grid.leafOrigins[leafIndex], 1}, &neighborhood);
+    part.candidates->topology.neighborhoods({&grid.leafOrigins[leafIndex], 1}, &neighborhood);
     int x = 0;
     std::uint64_t word = leaf.occupancy[0];
     for (; k >= static_cast<std::uint32_t>(__builtin_popcountll(word)); word = leaf.occupancy[++x]) {
@@ -149,22 +156,19 @@ void decodeSlot(const NeighborListsData& lists, std::uint32_t slot, std::vector<
     for (; k > 0; --k) word &= word - 1;
     const int bit = __builtin_ctzll(word);
     Runs runs;
-    forEachCandidateRun(blockViewOf(grid), neighborhood, x, bit >> 3, bit & 7,
+    forEachCandidateRun(blockViewOf(*part.candidates), neighborhood, x, bit >> 3, bit & 7,
                         [&](std::uint32_t begin, std::uint32_t end) {
                             runs.push_back({begin, end});
                         });
-    const MaskRun& row = runOf(lists.directory, slot);
-    decodeRow(grid, runs, row.words + std::size_t(slot - row.firstSlot) * wordsOf(runs), out);
+    const MaskRun& run = runOf(lists.directory, row);
+    decodeRow(*part.candidates, runs, run.words + std::size_t(row - run.firstSlot) * wordsOf(runs), out);
 }
 
-// NeighborLists::visitRows(). The visitor may run loops of its own, and no thread is handed another row meanwhile.
-void visitAllRows(const NeighborListsData& lists, const CancelCheck& cancel,
-                  const NeighborLists::RowVisitor& visit)
+void visitPart(const NeighborListsData& lists, const SearchPart& part, const CancelCheck& cancel,
+               const NeighborLists::RowVisitor& visit)
 {
     constexpr std::uint64_t kNumbersBetweenChecks = std::uint64_t(1) << 20;
-    requireLists(lists);
-    if (lists.grid.empty()) return;
-    const SparseGridData& grid = lists.grid.data();
+    const SparseGridData& grid = *part.queries;
     const auto visitLeaves = [&](std::size_t firstLeaf, std::size_t endLeaf) {
         std::uint64_t handedOut = kNumbersBetweenChecks;
         const auto handOut = [&](std::uint32_t slot, Span<const std::uint32_t> row) {
@@ -177,16 +181,16 @@ void visitAllRows(const NeighborListsData& lists, const CancelCheck& cancel,
         };
         if (lists.encoding == Encoding::kIndex) {
             for (std::uint32_t s = grid.leaves[firstLeaf].firstSlot; s < grid.leaves[endLeaf].firstSlot; ++s)
-                handOut(s, {lists.rowBegin[s], lists.rowCount[s]});
+                handOut(s, {lists.rowBegin[part.firstRow + s], lists.rowCount[part.firstRow + s]});
             return;
         }
         std::vector<std::uint32_t> row;
-        forEachMaskCell(lists, firstLeaf, endLeaf,
+        forEachMaskCell(lists, part, firstLeaf, endLeaf,
                         [&](std::uint32_t begin, std::uint32_t end, const Runs& runs, std::uint32_t rowWords,
                             const std::uint32_t* words) {
                             for (std::uint32_t s = begin; s < end; ++s, words += rowWords) {
                                 row.clear();
-                                decodeRow(grid, runs, words, row);
+                                decodeRow(*part.candidates, runs, words, row);
                                 handOut(s, {row.data(), row.size()});
                             }
                         });
@@ -196,6 +200,14 @@ void visitAllRows(const NeighborListsData& lists, const CancelCheck& cancel,
             isolated([&] { visitLeaves(range.begin(), range.end()); });
         });
     });
+}
+
+// NeighborLists::visitRows(). The visitor may run loops of its own, and no thread is handed another row meanwhile.
+void visitAllRows(const NeighborListsData& lists, const CancelCheck& cancel,
+                  const NeighborLists::RowVisitor& visit)
+{
+    requireLists(lists);
+    for (const SearchPart& part : lists.sets.data().parts) visitPart(lists, part, cancel, visit);
 }
 
 } // namespace
@@ -219,24 +231,27 @@ const ListStatistics& NeighborLists::statistics() const
 {
     return mData->statistics;
 }
+const SearchSets& NeighborLists::sets() const
+{
+    return mData->sets;
+}
 const ParticleView& NeighborLists::view() const
 {
-    return mData->view;
+    return mData->sets.candidates();
 }
-const SparseGrid& NeighborLists::grid() const
+SparseGrid NeighborLists::grid() const
 {
-    return mData->grid;
+    return SparseGrid(mData->sets.data().parts.front().candidates);
 }
-
 double NeighborLists::radius() const
 {
-    return mData->radius;
+    return mData->sets.radius();
 }
 
 std::uint32_t NeighborLists::count(std::size_t i) const
 {
     const std::uint32_t slot = mData->slotOf[i];
-    return slot == kNoSlot ? 0 : mData->rowCount[slot];
+    return slot == kNoSlot ? 0 : mData->rowCount[slot] - mData->selfIn(static_cast<std::uint32_t>(i));
 }
 
 std::vector<std::uint32_t> NeighborLists::counts() const
@@ -286,9 +301,8 @@ Csr NeighborLists::toCsr(Progress* progress) const
     requireLists(*mData);
     const CancelCheck cancel(progress, "lists");
     Csr csr;
-    const std::vector<std::uint32_t> counts = this->counts();
     csr.offsets.resize(size() + 1);
-    for (std::size_t i = 0; i < size(); ++i) csr.offsets[i + 1] = csr.offsets[i] + counts[i];
+    for (std::size_t i = 0; i < size(); ++i) csr.offsets[i + 1] = csr.offsets[i] + mData->entriesOf(i);
     csr.indices.reserve(csr.offsets.back());
     while (csr.indices.size() < csr.offsets.back()) {
         cancel.check();

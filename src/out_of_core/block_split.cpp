@@ -36,10 +36,11 @@ PartWork workOf(const SparseGridData& grid, const BlockPart& part)
         const SearchTask task{l, std::max(part.firstSlot, grid.leaves[l].firstSlot),
                               std::min(part.endSlot, grid.leaves[l + 1].firstSlot),
                               neighborhoods[l - part.firstLeaf].leaf, wantedCells(grid, part, l, cells)};
-        forEachCandidateCount(blockViewOf(grid), task, [&](std::uint64_t queries, std::uint64_t candidates) {
-            work.tests += queries * candidates;
-            work.maskWords += queries * ((candidates + 31) / 32);
-        });
+        forEachCandidateCount(blockViewOf(grid), blockViewOf(grid), task,
+                              [&](std::uint64_t queries, std::uint64_t candidates) {
+                                  work.tests += queries * candidates;
+                                  work.maskWords += queries * ((candidates + 31) / 32);
+                              });
     }
     return work;
 }

@@ -419,20 +419,27 @@ NeighborLists runSchedule(EngineState& engine, const SparseGrid& grid, const Sch
                           const std::vector<DeviceLimits>& devices, const RunOptions& options,
                           ScheduleRun& report, const DeviceMaker& makeDevice)
 {
-    const SearchRun run(grid.data(), grid.data(), options.search);
+    SearchOptions search = options.search;
+    search.encoding = schedule.model.encoding;
+    checkOptions(search);
+    const SearchRuns runs(SearchSets(grid, search.radius), search);
+    const SearchRun& run = runs[0];
+    if (!run.isPlain())
+        throw InvalidInput(
+            "devices search whole lists without the query itself: leave nearest and includeSelf out");
     const std::shared_ptr<NeighborListsData> result =
-        engine.beginLists(grid, run.radius, schedule.model.encoding);
+        engine.beginLists(runs.sets(), schedule.model.encoding, search);
     engine.beginStatistics(options.search);
     ChunkPool pool(std::move(result->chunks));
     const std::uint64_t allowed =
-        engine.allowRows(run, options.search, hostBytesOf(schedule, devices), *result, pool);
+        engine.allowRows(runs, options.search, hostBytesOf(schedule, devices), *result, pool);
     try {
         ScheduleRunner runner(engine, run, schedule, options, *result, pool, report);
         runner.execute(devices, makeDevice);
     } catch (const ChunkPool::Exhausted&) {
         throw listsDoNotFit(schedule.model.encoding, false, pool.takenBytes(), allowed);
     }
-    engine.finishLists(run, pool, *result);
+    engine.finishLists(runs, pool, *result);
     engine.lists = result;
     return NeighborLists(result);
 }

@@ -71,7 +71,7 @@ private:
     {
         std::uint64_t words = 0;
         forEachTaskOfImage([&](const SearchTask& task) {
-            words += maskBytes(mContext.block, task) / sizeof(std::uint32_t);
+            words += maskBytes(mContext.block, mContext.block, task) / sizeof(std::uint32_t);
         });
         return words;
     }

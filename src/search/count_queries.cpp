@@ -16,9 +16,6 @@
 
 namespace vdb_nns {
 
-namespace {
-
-// The cell of a slot of a leaf, as a mask of one.
 void markCell(const SparseGridData& grid, std::uint32_t leaf, std::uint32_t slot, std::uint64_t* cells)
 {
     const LeafRecord& record = grid.leaves[leaf];
@@ -37,6 +34,8 @@ void markCell(const SparseGridData& grid, std::uint32_t leaf, std::uint32_t slot
     }
 }
 
+namespace {
+
 // What the tasks of a count share.
 class Counter {
 public:
@@ -47,7 +46,7 @@ public:
                    makeFilterBounds(radiusInCells(grid.lattice, radius), grid.reach(), grid.coordinateError),
                    pollOf(cancel)},
           mExact(grid.view, radius),
-          mCount(kernelsFor(SimdLevel::kBest).count)
+          mCount(kernelsFor(SimdLevel::kBest).plain.count)
     {
     }
 

@@ -27,23 +27,16 @@ std::string gigabytes(std::uint64_t bytes)
     return text;
 }
 
-// Both are on it.
-const Lattice& sharedLattice(const SparseGridData& queries, const SparseGridData& candidates)
-{
-    if (!shareLattice(queries, candidates)) {
-        throw InvalidInput(
-            "queries and candidates are sorted on different lattices, or their stored positions "
-            "mean different places: build both grids on one lattice");
-    }
-    return queries.lattice;
-}
-
 } // namespace
 
 void checkOptions(const SearchOptions& options)
 {
     if (options.radius != 0) checkRadius(options.radius);
     requireKnown(options.encoding, Encoding::kNone, "encoding");
+    if (options.nearest > 0 && options.encoding == Encoding::kMask) {
+        throw InvalidInput("masks hold whole lists, not the nearest " + std::to_string(options.nearest) +
+                           ": use encoding index or none");
+    }
     requireKnown(options.nonfinite, NonFinite::kFail, "treatment of non-finite particles");
     requireKnown(options.simd, SimdLevel::kBest, "instruction set");
     const double size = options.cellSize;
@@ -68,20 +61,89 @@ CapacityError listsDoNotFit(Encoding encoding, bool counted, std::uint64_t neede
         needed, allowed);
 }
 
-SearchRun::SearchRun(const SparseGridData& queriesOfRun, const SparseGridData& candidatesOfRun,
-                     const SearchOptions& options)
-    : queries(queriesOfRun),
-      candidates(candidatesOfRun),
-      radius(searchRadius(sharedLattice(queries, candidates), options.radius)),
-      context{blockViewOf(candidates),
-              makeFilterBounds(radiusInCells(candidates.lattice, radius), candidates.reach(),
-                               std::max(queries.coordinateError, candidates.coordinateError)),
-              pollOf(cancel)},
-      exact(candidates.view, radius),
-      kernels(kernelsFor(options.simd)),
-      cancel(options.progress, "search"),
-      pieces(makePieces(queries))
+namespace {
+
+bool isPlainSearch(const SearchSetsData& sets, const SearchPart& part, const SearchOptions& options)
 {
+    return part.queries == part.candidates && sets.radius.isOne() && options.nearest == 0 &&
+           !options.includeSelf;
+}
+
+const RowKernels& kernelsOf(const SearchSetsData& sets, bool isPlain, const SearchOptions& options)
+{
+    const Kernels& kernels = kernelsFor(options.simd);
+    if (isPlain) return kernels.plain;
+    const bool byLarger = !sets.radius.isOne() && sets.radius.mode != RadiusMode::kGather;
+    const SetKernels& ofSets = byLarger ? kernels.largerRadius : kernels.queryRadius;
+    return options.nearest > 0 ? ofSets.nearest : ofSets.whole;
+}
+
+SearchContext contextOf(const SearchSetsData& sets, const SearchPart& part, const SearchOptions& options,
+                        const CancelCheck& cancel)
+{
+    SearchContext context{blockViewOf(*part.candidates), part.bounds, pollOf(cancel)};
+    context.sets.queries = blockViewOf(*part.queries);
+    context.sets.queryFar = part.queryFar ? part.queryFar->data() : nullptr;
+    context.sets.candidateFar = part.candidateFar ? part.candidateFar->data() : nullptr;
+    context.sets.excludesSelf = sets.areSameParticles() && !options.includeSelf;
+    context.sets.nearest = options.nearest;
+    context.sets.nearestDoubt = part.nearestDoubt;
+    return context;
+}
+
+} // namespace
+
+SearchRun::SearchRun(const SearchSetsData& sets, const SearchPart& part, const SearchOptions& options)
+    : queries(*part.queries),
+      candidates(*part.candidates),
+      firstRow(part.firstRow),
+      context(contextOf(sets, part, options, cancel)),
+      exact(sets.queries, sets.candidates, sets.radius, sets.largestRadius),
+      kernels(kernelsOf(sets, isPlainSearch(sets, part, options), options)),
+      cancel(options.progress, "search"),
+      pieces(makePieces(queries)),
+      mIsPlain(isPlainSearch(sets, part, options))
+{
+}
+
+// A part of a search as a share of the whole.
+class SearchRuns::PartProgress final : public Progress {
+public:
+    PartProgress(Progress& whole, double from, double to) : mWhole(whole), mFrom(from), mTo(to) {}
+    void update(const char* step, double fraction) override
+    {
+        mWhole.update(step, mFrom + fraction * (mTo - mFrom));
+    }
+    bool cancelled() const override { return mWhole.cancelled(); }
+
+private:
+    Progress& mWhole;
+    double mFrom, mTo;
+};
+
+void SearchRuns::Deleter::operator()(PartProgress* progress) const
+{
+    delete progress;
+}
+
+SearchRuns::SearchRuns(const SearchSets& sets, const SearchOptions& options) : mSets(sets)
+{
+    const SearchSetsData& data = sets.data();
+    if (options.includeSelf && !data.areSameParticles()) {
+        throw InvalidInput("a query can stand in its own list only where queries and candidates are the same "
+                           "particles: leave includeSelf out");
+    }
+    const double rows = std::max(1.0, static_cast<double>(data.rowCount()));
+    for (const SearchPart& part : data.parts) {
+        SearchOptions ofPart = options;
+        if (options.progress && data.parts.size() > 1) {
+            const double from = part.firstRow / rows;
+            const double to = from + static_cast<double>(part.queries->particleCount()) / rows;
+            mProgress.emplace_back(new PartProgress(*options.progress, from, to));
+            ofPart.progress = mProgress.back().get();
+        }
+        mRuns.push_back(std::make_unique<SearchRun>(data, part, ofPart));
+    }
 }
 
 SearchTaskFunction SearchRun::rowKernel(Encoding encoding) const
@@ -104,6 +166,7 @@ TaskStatistics EngineState::sumStatistics()
     for (const ThreadState& state : states) {
         sum.pairs += state.statistics.pairs;
         sum.bandPairs += state.statistics.bandPairs;
+        sum.shortened += state.statistics.shortened;
         statistics.exactPairs += state.exactPairs;
     }
     statistics.doublePairs = sum.bandPairs;
@@ -119,53 +182,59 @@ void EngineState::runTask(const SearchRun& run, SearchTaskFunction kernel, Threa
 
 // Throws when the lists surely cannot fit. A few queries tell whether there is any doubt; only then all neighbors are
 // counted, as far as seconds or four times what fits go, so that the error never rests on an estimate.
-void EngineState::checkCapacity(const SearchRun& run, Encoding encoding, std::uint64_t allowed,
+void EngineState::checkCapacity(const SearchRuns& runs, Encoding encoding, std::uint64_t allowed,
                                 std::uint32_t* counts)
 {
     constexpr std::size_t kProbes = 32;
     constexpr std::uint64_t kMostBytes = std::numeric_limits<std::uint64_t>::max();
     constexpr std::uint64_t kCountedBytes =
         160'000'000'000; // 4e10 pairs: some seconds of counting on two cores
-    const std::size_t particles = run.queries.particleCount();
-    if (particles == 0) return;
-    const auto bytesOf = [&](ThreadState& state, const SearchTask& task) -> std::uint64_t {
-        if (encoding == Encoding::kMask) return maskBytes(run.context.block, task);
+    const auto bytesOf = [&](const SearchRun& run, ThreadState& state,
+                             const SearchTask& task) -> std::uint64_t {
+        if (encoding == Encoding::kMask) return maskBytes(run.context.sets.queries, run.context.block, task);
         const std::uint64_t before = state.statistics.pairs;
         state.sink.slotBase = 0;
-        state.sink.rowCount = counts;
+        state.sink.rowCount = counts + run.firstRow;
         runTask(run, run.kernels.count, state, task);
-        return (state.statistics.pairs - before) * sizeof(std::uint32_t);
+        const std::uint32_t nearest = run.context.sets.nearest;
+        const std::uint64_t most =
+            std::uint64_t(task.endSlot - task.firstSlot) * (std::uint64_t(nearest) + 1);
+        const std::uint64_t pairs = state.statistics.pairs - before;
+        return (nearest > 0 ? std::min(pairs, most) : pairs) * sizeof(std::uint32_t);
     };
-    std::vector<Piece> probes;
-    std::size_t p = 0;
-    for (std::size_t k = 0; k < std::min(kProbes, particles); ++k) {
-        const auto slot = static_cast<std::uint32_t>(particles * k / std::min(kProbes, particles));
-        while (run.pieces[p].endSlot <= slot) ++p;
-        probes.push_back({run.pieces[p].leaf, slot, slot + 1});
-    }
     ThreadState& here = states.local();
     double expected = 0;
-    for (const Piece& probe : probes) {
-        run.cancel.check();
-        LeafNeighborhood neighborhood;
-        run.candidates.topology.neighborhoods({&run.queries.leafOrigins[probe.leaf], 1}, &neighborhood);
-        expected += static_cast<double>(
-            bytesOf(here, {probe.leaf, probe.firstSlot, probe.endSlot, neighborhood.leaf}));
-    }
-    expected *= static_cast<double>(particles) / static_cast<double>(probes.size());
+    runs.forEach([&](const SearchRun& run) {
+        const std::size_t particles = run.queries.particleCount(), probes = std::min(kProbes, particles);
+        std::size_t p = 0;
+        double sum = 0;
+        for (std::size_t k = 0; k < probes; ++k) {
+            const auto slot = static_cast<std::uint32_t>(particles * k / probes);
+            while (run.pieces[p].endSlot <= slot) ++p;
+            run.cancel.check();
+            const std::uint32_t leaf = run.pieces[p].leaf;
+            LeafNeighborhood neighborhood;
+            run.candidates.topology.neighborhoods({&run.queries.leafOrigins[leaf], 1}, &neighborhood);
+            sum += static_cast<double>(bytesOf(run, here, {leaf, slot, slot + 1, neighborhood.leaf}));
+        }
+        if (probes > 0) expected += sum * static_cast<double>(particles) / static_cast<double>(probes);
+    });
     here.begin();
     if (expected < 0.5 * static_cast<double>(allowed)) return;
     std::atomic<std::uint64_t> total{0};
     const std::uint64_t enough = std::max(kCountedBytes, std::min(allowed, kMostBytes / 4) * 4);
-    forEachTask(run.queries, run.pieces, states, run.cancel, [&](ThreadState& state, const SearchTask& task) {
-        if (total <= enough) total += bytesOf(state, task);
+    runs.forEach([&](const SearchRun& run) {
+        forEachTask(run.queries, run.candidates, run.pieces, states, run.cancel,
+                    [&](ThreadState& state, const SearchTask& task) {
+                        if (total <= enough) total += bytesOf(run, state, task);
+                    });
     });
     for (ThreadState& state : states) state.begin();
     if (total > allowed) throw listsDoNotFit(encoding, total <= enough, total, allowed);
 }
 
-std::shared_ptr<NeighborListsData> EngineState::beginLists(const SparseGrid& sparseGrid, double radius,
-                                                           Encoding encoding)
+std::shared_ptr<NeighborListsData> EngineState::beginLists(const SearchSets& sets, Encoding encoding,
+                                                           const SearchOptions& options)
 {
     std::shared_ptr<NeighborListsData> result = std::make_shared<NeighborListsData>();
     if (isSoleOwner(lists)) {
@@ -175,21 +244,21 @@ std::shared_ptr<NeighborListsData> EngineState::beginLists(const SparseGrid& spa
         result->chunks = std::move(lists->chunks);
     }
     lists.reset();
-    result->view = sparseGrid.view();
-    result->grid = sparseGrid;
-    result->radius = radius;
+    result->sets = sets;
+    result->nearest = options.nearest;
+    result->hasSelf = options.includeSelf;
     result->encoding = encoding;
     return result;
 }
 
-std::uint64_t EngineState::allowRows(const SearchRun& run, const SearchOptions& options,
+std::uint64_t EngineState::allowRows(const SearchRuns& runs, const SearchOptions& options,
                                      std::uint64_t otherBytes, NeighborListsData& result, ChunkPool& pool)
 {
-    const std::size_t particles = run.queries.particleCount();
+    const std::size_t particles = runs.rowCount();
     result.rowCount.resizeDiscarding(particles);
     if (result.encoding == Encoding::kIndex) result.rowBegin.resizeDiscarding(particles);
     const std::uint64_t held =
-        run.queries.bytes() + result.rowCount.usedBytes() + result.rowBegin.usedBytes();
+        runs.sets().bytes() + result.rowCount.usedBytes() + result.rowBegin.usedBytes();
     std::uint64_t free = options.hostMemoryBytes
                              ? options.hostMemoryBytes - std::min(held, options.hostMemoryBytes)
                              : availableMemoryBytes() + pool.freeBytes();
@@ -204,7 +273,7 @@ std::uint64_t EngineState::allowRows(const SearchRun& run, const SearchOptions& 
     }
     if (result.encoding == Encoding::kNone) return 0;
     const std::uint64_t allowed = free - otherBytes;
-    checkCapacity(run, result.encoding, allowed, result.rowCount.data());
+    checkCapacity(runs, result.encoding, allowed, result.rowCount.data());
     pool.begin(allowed, particles);
     return allowed;
 }
@@ -214,20 +283,67 @@ void EngineState::makeRows(const SearchRun& run, const SearchTask& task, ThreadS
 {
     state.pool = &pool;
     state.sink.slotBase = 0;
-    state.sink.rowBegin = result.rowBegin.data();
-    state.sink.rowCount = result.rowCount.data();
+    state.sink.rowBegin = result.rowBegin.size() > 0 ? result.rowBegin.data() + run.firstRow : nullptr;
+    state.sink.rowCount = result.rowCount.data() + run.firstRow;
     runTask(run, run.rowKernel(result.encoding), state, task);
     if (result.encoding != Encoding::kMask) return;
-    state.maskRuns.push_back({task.firstSlot, state.sink.taskBegin});
+    state.maskRuns.push_back({run.firstRow + task.firstSlot, state.sink.taskBegin});
     state.maskBytes +=
         static_cast<std::uint64_t>(state.sink.out - state.sink.taskBegin) * sizeof(std::uint32_t);
 }
 
-void EngineState::finishLists(const SearchRun& run, ChunkPool& pool, NeighborListsData& result)
+namespace {
+
+struct PartStatistics {
+    ListStatistics rows;
+    std::uint64_t neighbors = 0;
+
+    PartStatistics() { rows.min = std::numeric_limits<std::uint32_t>::max(); }
+};
+
+// The way from a query's number to its row, and what the counts of rows add up to. Rows that were only counted are cut here.
+PartStatistics finishPart(const SearchRun& run, NeighborListsData& result)
+{
+    const auto range = tbb::blocked_range<std::size_t>(0, run.queries.particleCount(), 8192);
+    const bool isCut = result.nearest > 0 && result.encoding == Encoding::kNone;
+    return tbb::parallel_reduce(
+        range, PartStatistics(),
+        [&](const auto& r, PartStatistics s) {
+            run.cancel.check();
+            for (std::size_t slot = r.begin(); slot < r.end(); ++slot) {
+                const std::uint32_t query = run.queries.number[slot], self = result.selfIn(query);
+                std::uint32_t& entries = result.rowCount[run.firstRow + slot];
+                if (isCut && entries - self > result.nearest) {
+                    entries = result.nearest + self;
+                    ++s.rows.shortened;
+                }
+                const std::uint32_t count = entries - self;
+                s.rows.min = std::min(s.rows.min, count);
+                s.rows.max = std::max(s.rows.max, count);
+                s.rows.isolated += count == 0;
+                s.rows.pairs += entries;
+                s.neighbors += count;
+                result.slotOf[query] = static_cast<std::uint32_t>(run.firstRow + slot);
+            }
+            return s;
+        },
+        [](PartStatistics a, const PartStatistics& b) {
+            a.rows.min = std::min(a.rows.min, b.rows.min);
+            a.rows.max = std::max(a.rows.max, b.rows.max);
+            a.rows.isolated += b.rows.isolated;
+            a.rows.shortened += b.rows.shortened;
+            a.rows.pairs += b.rows.pairs;
+            a.neighbors += b.neighbors;
+            return a;
+        });
+}
+
+} // namespace
+
+void EngineState::finishLists(const SearchRuns& runs, ChunkPool& pool, NeighborListsData& result)
 {
     for (ThreadState& state : states) state.finishRows();
     result.chunks = pool.release();
-    const std::size_t particles = run.queries.particleCount(), all = result.view.size();
     const TaskStatistics sum = sumStatistics();
     result.maskRuns.clear();
     for (const ThreadState& state : states) {
@@ -235,37 +351,29 @@ void EngineState::finishLists(const SearchRun& run, ChunkPool& pool, NeighborLis
     }
     std::sort(result.maskRuns.begin(), result.maskRuns.end(),
               [](const MaskRun& a, const MaskRun& b) { return a.firstSlot < b.firstSlot; });
+    const std::size_t rows = runs.rowCount(), all = runs.sets().rowCount();
     result.slotOf.resizeDiscarding(all);
-    if (particles < all) std::fill(result.slotOf.begin(), result.slotOf.end(), kNoSlot);
-    ListStatistics start;
-    start.min = std::numeric_limits<std::uint32_t>::max();
-    const auto range = tbb::blocked_range<std::size_t>(0, particles, 8192);
-    ListStatistics statistics = tbb::parallel_reduce(
-        range, start,
-        [&](const auto& r, ListStatistics s) {
-            run.cancel.check();
-            for (std::size_t slot = r.begin(); slot < r.end(); ++slot) {
-                const std::uint32_t count = result.rowCount[slot];
-                s.min = std::min(s.min, count);
-                s.max = std::max(s.max, count);
-                s.isolated += count == 0;
-                result.slotOf[run.queries.number[slot]] = static_cast<std::uint32_t>(slot);
-            }
-            return s;
-        },
-        [](ListStatistics a, const ListStatistics& b) {
-            a.min = std::min(a.min, b.min);
-            a.max = std::max(a.max, b.max);
-            a.isolated += b.isolated;
-            return a;
-        });
-    if (particles < all || all == 0) statistics.min = 0;
-    statistics.isolated += all - particles;
-    statistics.pairs = sum.pairs;
-    statistics.mean = all ? static_cast<double>(sum.pairs) / static_cast<double>(all) : 0;
+    if (rows < all) std::fill(result.slotOf.begin(), result.slotOf.end(), kNoSlot);
+    ListStatistics statistics;
+    statistics.min = std::numeric_limits<std::uint32_t>::max();
+    std::uint64_t neighbors = 0;
+    runs.forEach([&](const SearchRun& run) {
+        const PartStatistics part = finishPart(run, result);
+        statistics.min = std::min(statistics.min, part.rows.min);
+        statistics.max = std::max(statistics.max, part.rows.max);
+        statistics.pairs += part.rows.pairs;
+        statistics.isolated += part.rows.isolated;
+        statistics.shortened += part.rows.shortened;
+        neighbors += part.neighbors;
+    });
+    const std::uint64_t finite = runs.sets().finiteQueries();
+    if (rows < finite || finite == 0) statistics.min = 0;
+    statistics.isolated += finite - rows;
+    statistics.shortened += sum.shortened;
+    statistics.mean = finite ? static_cast<double>(neighbors) / static_cast<double>(finite) : 0;
     result.statistics = statistics;
     result.rowBytes = 0;
-    if (result.encoding == Encoding::kIndex) result.rowBytes = sum.pairs * 4;
+    if (result.encoding == Encoding::kIndex) result.rowBytes = statistics.pairs * 4;
     if (result.encoding == Encoding::kMask) {
         for (const ThreadState& state : states) result.rowBytes += state.maskBytes;
     }

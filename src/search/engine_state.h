@@ -5,7 +5,7 @@
 #include "cpu/kernels.h"
 #include "cpu/search_task.h"
 #include "exact/exact_test.h"
-#include "grid/sparse_grid_data.h"
+#include "grid/search_sets_data.h"
 #include "lists/neighbor_lists_data.h"
 #include "search/leaf_tasks.h"
 #include "search/thread_state.h"
@@ -21,25 +21,59 @@
 
 namespace vdb_nns {
 
-// One search: what all its tasks share. The particles whose neighbors are wanted, and those among which they are
-// looked for, are two sets of points on one lattice.
+// The search of one part of two sets: what all its tasks share. The sets outlive it.
 struct SearchRun {
     const SparseGridData& queries;
     const SparseGridData& candidates;
-    const double radius; // world units, at most the lattice's
+    const std::uint32_t firstRow; // SearchPart::firstRow
     SearchContext context;
     ExactTest exact;
-    const Kernels& kernels;
+    const RowKernels& kernels;
     CancelCheck cancel;
     std::vector<Piece> pieces;
 
-    // Throws InvalidInput for sets that share no lattice, and for a radius above the lattice's.
-    SearchRun(const SparseGridData& queries, const SparseGridData& candidates, const SearchOptions& options);
+    // `options.radius` is not read.
+    SearchRun(const SearchSetsData& sets, const SearchPart& part, const SearchOptions& options);
     SearchRun(const SearchRun&) = delete; // the context points into it
     SearchRun& operator=(const SearchRun&) = delete;
 
+    // Whether every particle is query and candidate and one radius serves all: what devices search.
+    bool isPlain() const { return mIsPlain; }
+
     // The kernel that makes rows of an encoding.
     SearchTaskFunction rowKernel(Encoding encoding) const;
+
+private:
+    const bool mIsPlain;
+};
+
+// All parts of two sets.
+class SearchRuns {
+public:
+    SearchRuns(const SearchSets& sets, const SearchOptions& options);
+
+    const SearchSets& sets() const { return mSets; }
+    std::size_t size() const { return mRuns.size(); }
+    const SearchRun& operator[](std::size_t part) const { return *mRuns[part]; }
+    // Queries that have a row.
+    std::uint64_t rowCount() const { return mSets.data().rowCount(); }
+
+    // f(run) for each part.
+    template <typename F>
+    void forEach(F&& f) const
+    {
+        for (const std::unique_ptr<SearchRun>& run : mRuns) f(*run);
+    }
+
+private:
+    class PartProgress;
+    struct Deleter {
+        void operator()(PartProgress* progress) const;
+    };
+
+    const SearchSets mSets;
+    std::vector<std::unique_ptr<PartProgress, Deleter>> mProgress; // each part's share of the whole
+    std::vector<std::unique_ptr<SearchRun>> mRuns;
 };
 
 // Throws InvalidInput.
@@ -66,20 +100,22 @@ struct EngineState {
     TaskStatistics sumStatistics();
     void runTask(const SearchRun& run, SearchTaskFunction kernel, ThreadState& state, const SearchTask& task);
 
-    // Empty lists of a grid and a radius, in the memory of the last ones where nobody else reads those.
-    std::shared_ptr<NeighborListsData> beginLists(const SparseGrid& grid, double radius, Encoding encoding);
+    // Empty lists of two sets, in the memory of the last ones where nobody else reads those. `options`: what rows are cut to.
+    std::shared_ptr<NeighborListsData> beginLists(const SearchSets& sets, Encoding encoding,
+                                                  const SearchOptions& options);
     // Makes the arrays by slot, and hands what lists may use beside `otherBytes` of the run to `pool`. Returns those bytes; 0
     // without lists. Throws CapacityError.
-    std::uint64_t allowRows(const SearchRun& run, const SearchOptions& options, std::uint64_t otherBytes,
+    std::uint64_t allowRows(const SearchRuns& runs, const SearchOptions& options, std::uint64_t otherBytes,
                             NeighborListsData& result, ChunkPool& pool);
     // The rows of a task, in its encoding, to memory of `pool`. Throws ChunkPool::Exhausted.
     void makeRows(const SearchRun& run, const SearchTask& task, ThreadState& state, ChunkPool& pool,
                   NeighborListsData& result);
     // Once all rows are made: statistics, the order of mask rows, the way from a particle's number to its slot.
-    void finishLists(const SearchRun& run, ChunkPool& pool, NeighborListsData& result);
+    void finishLists(const SearchRuns& runs, ChunkPool& pool, NeighborListsData& result);
 
 private:
-    void checkCapacity(const SearchRun& run, Encoding encoding, std::uint64_t allowed, std::uint32_t* counts);
+    void checkCapacity(const SearchRuns& runs, Encoding encoding, std::uint64_t allowed,
+                       std::uint32_t* counts);
 };
 
 struct SearchEngine::Impl : EngineState {};

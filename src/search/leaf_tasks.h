@@ -32,10 +32,10 @@ struct Piece {
 // enough that filling the halo again for each piece stays below a few per cent of its tests.
 std::vector<Piece> makePieces(const SparseGridData& grid);
 
-// Runs `run(state, task)` for the pieces.
+// Runs `run(state, task)` for the pieces of the queries' grid; tasks have the leaves of the candidates' grid around them.
 template <typename Run>
-void forEachTask(const SparseGridData& grid, const std::vector<Piece>& pieces, ThreadStates& states,
-                 const CancelCheck& cancel, Run&& run)
+void forEachTask(const SparseGridData& queriesGrid, const SparseGridData& candidates,
+                 const std::vector<Piece>& pieces, ThreadStates& states, const CancelCheck& cancel, Run&& run)
 {
     std::atomic<std::uint64_t> done{0};
     const std::size_t grain = std::clamp<std::size_t>(pieces.size() / 4096, 1, 64);
@@ -44,7 +44,7 @@ void forEachTask(const SparseGridData& grid, const std::vector<Piece>& pieces, T
         const std::uint32_t firstLeaf = pieces[range.begin()].leaf,
                             endLeaf = pieces[range.end() - 1].leaf + 1;
         state.neighborhoods.resize(endLeaf - firstLeaf);
-        grid.neighborhoodsInReach(firstLeaf, endLeaf, state.neighborhoods.data());
+        queriesGrid.neighborhoodsInReach(candidates, firstLeaf, endLeaf, state.neighborhoods.data());
         std::uint64_t queries = 0;
         for (std::size_t p = range.begin(); p < range.end(); ++p) {
             cancel.check();
@@ -54,7 +54,7 @@ void forEachTask(const SparseGridData& grid, const std::vector<Piece>& pieces, T
             queries += piece.endSlot - piece.firstSlot;
         }
         const std::uint64_t total = done.fetch_add(queries) + queries;
-        cancel.update(static_cast<double>(total) / static_cast<double>(grid.particleCount()));
+        cancel.update(static_cast<double>(total) / static_cast<double>(queriesGrid.particleCount()));
     });
 }
 
@@ -77,13 +77,14 @@ void forEachWantedCell(const BlockView& block, const SearchTask& task, F&& f)
     }
 }
 
-// Calls f(queries, candidates) for each cell with queries of a task: how many, and the particles of the cells in reach.
+// Calls f(queries, candidates) for each cell with queries of a task: how many, and the candidates of the cells in reach.
 template <typename F>
-void forEachCandidateCount(const BlockView& block, const SearchTask& task, F&& f)
+void forEachCandidateCount(const BlockView& queries, const BlockView& candidates, const SearchTask& task,
+                           F&& f)
 {
     LeafNeighborhood neighborhood;
     std::copy_n(task.neighborhood, kLeavesAround, neighborhood.leaf);
-    forEachOccupiedCell(block, task.leaf, neighborhood, [&](const OccupiedCell& cell) {
+    forEachOccupiedCell(queries, candidates, task.leaf, neighborhood, [&](const OccupiedCell& cell) {
         if (task.cells && !(task.cells[cell.x] & cell.bit)) return;
         const std::uint32_t begin = std::max(cell.begin, task.firstSlot),
                             end = std::min(cell.end, task.endSlot);
@@ -92,12 +93,14 @@ void forEachCandidateCount(const BlockView& block, const SearchTask& task, F&& f
 }
 
 // Bytes of the mask rows of a task.
-inline std::uint64_t maskBytes(const BlockView& block, const SearchTask& task)
+inline std::uint64_t maskBytes(const BlockView& queriesBlock, const BlockView& candidatesBlock,
+                               const SearchTask& task)
 {
     std::uint64_t words = 0;
-    forEachCandidateCount(block, task, [&](std::uint64_t queries, std::uint64_t candidates) {
-        words += queries * ((candidates + 31) / 32);
-    });
+    forEachCandidateCount(queriesBlock, candidatesBlock, task,
+                          [&](std::uint64_t queries, std::uint64_t candidates) {
+                              words += queries * ((candidates + 31) / 32);
+                          });
     return words * sizeof(std::uint32_t);
 }
 

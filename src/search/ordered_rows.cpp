@@ -164,7 +164,7 @@ public:
           mResult(result),
           mConsumer(consumer),
           mWantsChecksum(search.mWantsChecksum),
-          mAll(static_cast<std::uint32_t>(result.view.size())),
+          mAll(static_cast<std::uint32_t>(result.sets.rowCount())),
           mWindow(windowBytes, idleMemory(search.mEngine.scratch)),
           mMakers([this] { return std::make_unique<RowMaker>(mWindow); }),
           mDone(mOrder.batches.size(), 0),
@@ -291,7 +291,8 @@ private:
             wanted[k] = leavesInReach(grid.leaves[pieces[k].leaf].occupancy, grid.reach());
         }
         state.neighborhoods.resize(count);
-        grid.topology.neighborhoods({origins.data(), count}, wanted.data(), state.neighborhoods.data());
+        mRun.candidates.topology.neighborhoods({origins.data(), count}, wanted.data(),
+                                               state.neighborhoods.data());
         for (std::size_t k = 0; k < count; ++k) {
             mRun.cancel.check();
             const Piece& piece = pieces[k];
@@ -354,21 +355,41 @@ private:
                   mScannedPairs = 0; // of the claimed rows; of those that were scanned after them
 };
 
-OrderedSearch::OrderedSearch(EngineState& engine, const SparseGrid& grid, const SearchOptions& options)
-    : mEngine(engine), mGrid(grid), mOptions(options), mRun(grid.data(), grid.data(), options)
+OrderedSearch::OrderedSearch(EngineState& engine, const SearchSets& sets, const SearchOptions& options)
+    : mEngine(engine),
+      mOptions(options),
+      mRuns(options.radius == 0 ? sets : sets.data().withinRadius(options.radius), options),
+      mRun(mRuns[0])
 {
-    const SparseGridData& data = grid.data();
-    mOrder = std::make_unique<TaskOrder>(data, mRun.pieces);
-    const std::size_t particles = data.particleCount(), sampled = std::min(particles, kSampledQueries);
-    std::vector<QueryRange> sample;
+    mOrder = std::make_unique<TaskOrder>(mRun.queries, mRun.pieces);
+    sampleNeighbors();
+}
+
+void OrderedSearch::sampleNeighbors()
+{
+    const std::size_t particles = mRun.queries.particleCount(),
+                      sampled = std::min(particles, kSampledQueries);
+    mEngine.beginStatistics(mOptions);
+    ThreadState& state = mEngine.states.local();
     auto piece = mRun.pieces.begin();
+    std::uint32_t count = 0;
+    double neighbors = 0;
     for (std::size_t k = 0; k < sampled; ++k) {
         const auto slot = static_cast<std::uint32_t>(particles * k / sampled);
         while (piece->endSlot <= slot) ++piece;
-        sample.push_back({piece->leaf, slot, slot + 1});
+        std::uint64_t cells[8];
+        markCell(mRun.queries, piece->leaf, slot, cells);
+        LeafNeighborhood neighborhood;
+        const std::uint32_t wanted = leavesInReach(cells, mRun.queries.reach());
+        mRun.candidates.topology.neighborhoods({&mRun.queries.leafOrigins[piece->leaf], 1}, &wanted,
+                                               &neighborhood);
+        state.sink.slotBase = slot;
+        state.sink.rowCount = &count;
+        mEngine.runTask(mRun, mRun.kernels.count, state,
+                        {piece->leaf, slot, slot + 1, neighborhood.leaf, cells});
+        const std::uint32_t most = mRun.context.sets.nearest;
+        neighbors += most > 0 ? std::min(count, most + 1) : count;
     }
-    double neighbors = 0;
-    for (const std::uint32_t count : countQueries(data, mRun.radius, sample, mRun.cancel)) neighbors += count;
     if (sampled > 0) mExpectedNeighbors = neighbors / static_cast<double>(sampled);
 }
 
@@ -395,19 +416,28 @@ std::uint64_t OrderedSearch::countPairs()
     PageArray<std::uint32_t> counts; // by slot
     counts.resizeDiscarding(mRun.queries.particleCount());
     const CancelCheck cancel(mOptions.progress, "count");
-    forEachTask(mRun.queries, mRun.pieces, mEngine.states, cancel,
+    forEachTask(mRun.queries, mRun.candidates, mRun.pieces, mEngine.states, cancel,
                 [&](ThreadState& state, const SearchTask& task) {
                     state.sink.slotBase = 0;
                     state.sink.rowCount = counts.data();
                     mEngine.runTask(mRun, mRun.kernels.count, state, task);
                 });
-    return mEngine.sumStatistics().pairs;
+    const std::uint32_t most = mRun.context.sets.nearest;
+    if (most == 0) return mEngine.sumStatistics().pairs;
+    std::uint64_t pairs = 0; // of rows that are cut; a query in its own is not among the nearest
+    const SearchSetsData& sets = mRuns.sets().data();
+    for (std::size_t slot = 0; slot < counts.size(); ++slot) {
+        const std::uint32_t self = mOptions.includeSelf && sets.isCandidate(mRun.queries.number[slot]);
+        pairs += std::min(counts[slot] - self, most) + self;
+    }
+    return pairs;
 }
 
 NeighborLists OrderedSearch::run(std::uint64_t windowBytes, RowRunConsumer& consumer)
 {
     const double start = wallSeconds();
-    const std::shared_ptr<NeighborListsData> result = mEngine.beginLists(mGrid, mRun.radius, Encoding::kNone);
+    const std::shared_ptr<NeighborListsData> result =
+        mEngine.beginLists(mRuns.sets(), Encoding::kNone, mOptions);
     mEngine.beginStatistics(mOptions);
     try {
         mChecksum = Rows(*this, windowBytes, *result, consumer).run();
@@ -415,7 +445,7 @@ NeighborLists OrderedSearch::run(std::uint64_t windowBytes, RowRunConsumer& cons
         throw WindowExceeded();
     }
     ChunkPool none({});
-    mEngine.finishLists(mRun, none, *result);
+    mEngine.finishLists(mRuns, none, *result);
     mEngine.lists = result;
     mEngine.statistics.searchSeconds = wallSeconds() - start;
     return NeighborLists(result);

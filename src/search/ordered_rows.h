@@ -33,13 +33,14 @@ public:
     virtual void take(const RowRun& run) = 0;
 };
 
-// A search of a grid by itself that is taken in that order. Lives in the thread that made it; `options` as for
+// A search of two sets on one lattice that is taken in that order. Lives in the thread that made it; `options` as for
 // SearchEngine::search(), without encoding and memory.
 class OrderedSearch {
 public:
-    OrderedSearch(EngineState& engine, const SparseGrid& grid, const SearchOptions& options);
+    OrderedSearch(EngineState& engine, const SearchSets& sets, const SearchOptions& options);
     ~OrderedSearch();
 
+    const SearchSets& sets() const { return mRuns.sets(); }
     // The most rows that wait for one with a lower number, where tasks are done one after the other.
     std::uint64_t windowRows() const;
     // Neighbors of a query, from a sample of them.
@@ -59,12 +60,13 @@ private:
     struct TaskOrder;
     class Rows;
 
+    void sampleNeighbors();
     std::uint64_t mostBytesBegun(std::uint64_t windowBytes) const;
 
     EngineState& mEngine;
-    const SparseGrid mGrid;
     const SearchOptions mOptions;
-    const SearchRun mRun;
+    const SearchRuns mRuns;
+    const SearchRun& mRun;
     std::unique_ptr<TaskOrder> mOrder;
     double mExpectedNeighbors = 0;
     bool mWantsChecksum = false;

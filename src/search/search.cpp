@@ -3,6 +3,7 @@
 
 #include "grid/lattice.h"
 #include "grid/lattice_choice.h"
+#include "points/pair_geometry.h"
 #include "search/engine_state.h"
 #include "util/isolate.h"
 #include "util/known_value.h"
@@ -41,7 +42,7 @@ SparseGrid makeGrid(EngineState& engine, const ParticleView& view, const Lattice
     return isolated([&] {
         const double start = wallSeconds();
         // The last lists hold the last grid; when nobody else reads them they let go of it.
-        if (isSoleOwner(engine.lists)) engine.lists->grid = SparseGrid();
+        if (isSoleOwner(engine.lists)) engine.lists->sets = SearchSets();
         if (!isSoleOwner(engine.grid)) engine.grid = std::make_shared<SparseGridData>();
         buildSparseGrid(view, where, options, engine.scratch, *engine.grid);
         // Under a bound the memory of the sort is better spent on lists.
@@ -72,26 +73,73 @@ Lattice chooseLattice(const ParticleView& view, double radius, const SearchOptio
     return isolated([&] { return findLattice(view.source(), radius, options); });
 }
 
+SearchSets SearchEngine::sort(const ParticleSet& candidates, const ParticleSet& queries, const Radius& radius,
+                              const SearchOptions& options)
+{
+    const bool areOne = &candidates.view.source() == &queries.view.source() && candidates.chosen.empty() &&
+                        queries.chosen.empty() && radius.isOne();
+    if (areOne) return buildGrid(queries.view, radius.value, options); // in the memory of the last one
+    checkOptions(options);
+    return isolated([&] {
+        const double start = wallSeconds();
+        if (isSoleOwner(mImpl->lists)) mImpl->lists->sets = SearchSets();
+        const auto sets =
+            std::make_shared<SearchSetsData>(sortSets(candidates, queries, radius, options, mImpl->scratch));
+        if (options.hostMemoryBytes) mImpl->scratch = GridScratch();
+        mImpl->statistics.gridSeconds = wallSeconds() - start;
+        return SearchSets(sets);
+    });
+}
+
+namespace {
+
+// The sets within the radius of the options, if they have one.
+SearchSets setsWithin(const SearchSets& sets, double radius)
+{
+    const SearchSetsData& data = sets.data();
+    if (radius == 0 || radius == sets.radius()) return sets;
+    if (!data.radius.isOne()) {
+        throw InvalidInput("the particles have radii of their own, and the options another one: leave that "
+                           "of the options out");
+    }
+    return data.withinRadius(radius);
+}
+
+} // namespace
+
 NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& options)
+{
+    return search(SearchSets(grid), options);
+}
+
+NeighborLists SearchEngine::search(const ParticleSet& candidates, const ParticleSet& queries,
+                                   const Radius& radius, const SearchOptions& options)
+{
+    return search(sort(candidates, queries, radius, options), options);
+}
+
+NeighborLists SearchEngine::search(const SearchSets& sets, const SearchOptions& options)
 {
     checkOptions(options);
     return isolated([&] {
         const double start = wallSeconds();
-        const SearchRun run(grid.data(), grid.data(), options);
+        const SearchRuns runs(setsWithin(sets, options.radius), options);
         const std::shared_ptr<NeighborListsData> result =
-            mImpl->beginLists(grid, run.radius, options.encoding);
+            mImpl->beginLists(runs.sets(), options.encoding, options);
         mImpl->beginStatistics(options);
         ChunkPool pool(std::move(result->chunks));
-        const std::uint64_t allowed = mImpl->allowRows(run, options, 0, *result, pool);
+        const std::uint64_t allowed = mImpl->allowRows(runs, options, 0, *result, pool);
         try {
-            forEachTask(run.queries, run.pieces, mImpl->states, run.cancel,
-                        [&](ThreadState& state, const SearchTask& task) {
-                            mImpl->makeRows(run, task, state, pool, *result);
-                        });
+            runs.forEach([&](const SearchRun& run) {
+                forEachTask(run.queries, run.candidates, run.pieces, mImpl->states, run.cancel,
+                            [&](ThreadState& state, const SearchTask& task) {
+                                mImpl->makeRows(run, task, state, pool, *result);
+                            });
+            });
         } catch (const ChunkPool::Exhausted&) {
             throw listsDoNotFit(options.encoding, false, pool.takenBytes(), allowed);
         }
-        mImpl->finishLists(run, pool, *result);
+        mImpl->finishLists(runs, pool, *result);
         mImpl->lists = result;
         mImpl->statistics.searchSeconds = wallSeconds() - start;
         return NeighborLists(result);
@@ -105,7 +153,7 @@ class DistanceCallback final : public RowCallback {
 public:
     DistanceCallback(const SearchRun& run, const NeighborVisitor& visitor, std::vector<double>& distances)
         : mQueries(run.queries),
-          mView(run.candidates.view),
+          mDistance(run.queries.view, run.candidates.view),
           mCancel(run.cancel),
           mVisitor(visitor),
           mDistances(distances)
@@ -119,7 +167,7 @@ public:
         mDistances.resize(std::max<std::size_t>(mDistances.size(), count));
         for (std::uint32_t k = 0; k < count; ++k) {
             if ((k + 1) % kDistancesBetweenChecks == 0) mCancel.check();
-            mDistances[k] = mView.distance(query, neighbors[k]);
+            mDistances[k] = mDistance(query, neighbors[k]);
         }
         mVisitor(query, {neighbors, count}, {mDistances.data(), count});
     }
@@ -128,7 +176,7 @@ private:
     static constexpr std::uint32_t kDistancesBetweenChecks = 1u << 18;
 
     const SparseGridData& mQueries;
-    const ParticleView& mView;
+    const PairDistance mDistance;
     const CancelCheck& mCancel;
     const NeighborVisitor& mVisitor;
     std::vector<double>& mDistances;
@@ -153,26 +201,30 @@ private:
 
 // Runs all tasks; makeCallback(run, state) is what takes the rows of a task.
 template <typename MakeCallback>
-void visitTasks(EngineState& engine, const SparseGrid& grid, const SearchOptions& options,
+void visitTasks(EngineState& engine, const SearchSets& sets, const SearchOptions& given,
                 MakeCallback&& makeCallback)
 {
+    SearchOptions options = given;
+    options.encoding = Encoding::kIndex; // has no meaning here
     checkOptions(options);
     isolated([&] {
         const double start = wallSeconds();
-        const SearchRun run(grid.data(), grid.data(), options);
+        const SearchRuns runs(setsWithin(sets, options.radius), options);
         engine.beginStatistics(options);
-        forEachTask(run.queries, run.pieces, engine.states, run.cancel,
-                    [&](ThreadState& state, const SearchTask& task) {
-                        auto callback = makeCallback(run, state);
-                        state.beginCallbacks(callback, task);
-                        state.decideBy(run.exact, run.cancel);
-                        // Once a task, for the kernel calls the visitor too.
-                        isolated([&] {
-                            run.kernels.visit(run.context, task, state.exactPredicate(), state.halo,
-                                              state.visited, state.statistics);
-                            state.flushRows();
+        runs.forEach([&](const SearchRun& run) {
+            forEachTask(run.queries, run.candidates, run.pieces, engine.states, run.cancel,
+                        [&](ThreadState& state, const SearchTask& task) {
+                            auto callback = makeCallback(run, state);
+                            state.beginCallbacks(callback, task);
+                            state.decideBy(run.exact, run.cancel);
+                            // Once a task, for the kernel calls the visitor too.
+                            isolated([&] {
+                                run.kernels.visit(run.context, task, state.exactPredicate(), state.halo,
+                                                  state.visited, state.statistics);
+                                state.flushRows();
+                            });
                         });
-                    });
+        });
         engine.sumStatistics();
         engine.statistics.searchSeconds = wallSeconds() - start;
     });
@@ -180,34 +232,37 @@ void visitTasks(EngineState& engine, const SparseGrid& grid, const SearchOptions
 
 } // namespace
 
-void SearchEngine::visit(const SparseGrid& grid, const NeighborVisitor& visitor, const SearchOptions& options)
+void SearchEngine::visit(const SearchSets& sets, const NeighborVisitor& visitor, const SearchOptions& options)
 {
-    visitTasks(*mImpl, grid, options, [&](const SearchRun& run, ThreadState& state) {
+    visitTasks(*mImpl, sets, options, [&](const SearchRun& run, ThreadState& state) {
         return DistanceCallback(run, visitor, state.distances);
     });
 }
 
-void SearchEngine::visitRows(const SparseGrid& grid, const RowVisitor& visitor, const SearchOptions& options)
+void SearchEngine::visitRows(const SearchSets& sets, const RowVisitor& visitor, const SearchOptions& options)
 {
-    visitTasks(*mImpl, grid, options,
+    visitTasks(*mImpl, sets, options,
                [&](const SearchRun& run, ThreadState&) { return NumberCallback(run.queries, visitor); });
 }
 
-std::uint64_t countCandidateTests(const SparseGrid& grid)
+std::uint64_t countCandidateTests(const SearchSets& sets)
 {
-    if (grid.empty()) return 0;
     std::atomic<std::uint64_t> tests{0};
     ThreadStates states;
     isolated([&] {
-        forEachTask(grid.data(), makePieces(grid.data()), states, CancelCheck(nullptr, "count"),
-                    [&](ThreadState&, const SearchTask& task) {
-                        std::uint64_t sum = 0;
-                        forEachCandidateCount(blockViewOf(grid.data()), task,
-                                              [&](std::uint64_t queries, std::uint64_t candidates) {
-                                                  sum += queries * candidates;
-                                              });
-                        tests += sum;
-                    });
+        for (const SearchPart& part : sets.data().parts) {
+            const BlockView queriesBlock = blockViewOf(*part.queries),
+                            candidatesBlock = blockViewOf(*part.candidates);
+            forEachTask(*part.queries, *part.candidates, makePieces(*part.queries), states,
+                        CancelCheck(nullptr, "count"), [&](ThreadState&, const SearchTask& task) {
+                            std::uint64_t sum = 0;
+                            forEachCandidateCount(queriesBlock, candidatesBlock, task,
+                                                  [&](std::uint64_t queries, std::uint64_t candidates) {
+                                                      sum += queries * candidates;
+                                                  });
+                            tests += sum;
+                        });
+        }
     });
     return tests;
 }
@@ -221,6 +276,12 @@ NeighborLists SearchEngine::findNeighbors(const ParticleView& view, double radiu
 NeighborLists findNeighbors(const ParticleView& view, double radius, const SearchOptions& options)
 {
     return SearchEngine().findNeighbors(view, radius, options);
+}
+
+NeighborLists search(const ParticleSet& candidates, const ParticleSet& queries, const Radius& radius,
+                     const SearchOptions& options)
+{
+    return SearchEngine().search(candidates, queries, radius, options);
 }
 
 std::vector<std::uint32_t> countNeighbors(const ParticleView& view, double radius,

@@ -70,11 +70,23 @@ void ThreadState::begin()
     sink.tailSize = 0;
 }
 
-bool ThreadState::decidePair(void* state, std::uint32_t query, std::uint32_t candidate)
+void ThreadState::countDecision()
 {
     constexpr std::uint32_t kPairsBetweenChecks = 1u << 14; // some milliseconds
+    if (++mDecided % kPairsBetweenChecks == 0) mCancel->check();
+}
+
+bool ThreadState::decideNearer(void* state, std::uint32_t query, std::uint32_t a, std::uint32_t b)
+{
     auto& self = *static_cast<ThreadState*>(state);
-    if (++self.mDecided % kPairsBetweenChecks == 0) self.mCancel->check();
+    self.countDecision();
+    return self.mExact->isNearer(query, a, b, self.exactPairs);
+}
+
+bool ThreadState::decidePair(void* state, std::uint32_t query, std::uint32_t candidate)
+{
+    auto& self = *static_cast<ThreadState*>(state);
+    self.countDecision();
     return self.mExact->isNeighbor(query, candidate, self.mExactMemory, self.exactPairs);
 }
 
@@ -92,7 +104,7 @@ void ThreadState::finishRows()
 
 ExactPredicate ThreadState::exactPredicate()
 {
-    return {this, decidePair};
+    return {this, decidePair, decideNearer};
 }
 
 void ThreadState::reserveHalo(HaloScratch& scratch, std::size_t particles)

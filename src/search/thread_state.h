@@ -81,6 +81,8 @@ private:
     static void growRows(RowSink& sink, std::size_t entries);
     static void growVisited(RowSink& sink, std::size_t entries);
     static bool decidePair(void* state, std::uint32_t query, std::uint32_t candidate);
+    static bool decideNearer(void* state, std::uint32_t query, std::uint32_t a, std::uint32_t b);
+    void countDecision();
 
     const ExactTest* mExact = nullptr;
     const CancelCheck* mCancel = nullptr;

@@ -62,8 +62,10 @@ protected:
         const SetView input(set, form);
         const ExactTest test(input.view(), set.radius);
         const ParticleSource& source = input.view().source();
-        EXPECT_EQ(test.isNeighborExactly(source.stored(0), source.stored(1)), expected) << textOf(set);
-        EXPECT_EQ(test.isNeighborExactly(source.stored(1), source.stored(0)), expected) << textOf(set);
+        EXPECT_EQ(test.isNeighborExactly(source.stored(0), source.stored(1), set.radius), expected)
+            << textOf(set);
+        EXPECT_EQ(test.isNeighborExactly(source.stored(1), source.stored(0), set.radius), expected)
+            << textOf(set);
         ExactTestMemory memory;
         for (int k = 0; k < 2; ++k) { // the second time from memory
             EXPECT_EQ(test.isNeighbor(0, 1, memory, exactPairs), expected) << textOf(set);

@@ -60,7 +60,7 @@ TEST(Halo, CopiesTheLastSlotsThatThereCanBe)
     std::vector<float> halo(5 * kStride / sizeof(float));
     char* const to = reinterpret_cast<char*>(halo.data());
     const float shift[3] = {8, 0, -8};
-    copyRun(block, to, kStride, kBegin, kEnd, shift);
+    copyRun<false>(block, nullptr, to, kStride, kBegin, kEnd, shift);
     for (std::uint32_t k = 0; k < kEnd - kBegin; ++k) {
         EXPECT_EQ(floats(to)[k], static_cast<float>(k) + 8);
         EXPECT_EQ(floats(to + 2 * kStride)[k], -8);

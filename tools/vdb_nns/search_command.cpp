@@ -143,7 +143,7 @@ std::optional<NpzTarget> targetOf(const SearchFlags& flags, const SearchPlan& pl
     if (count != 1 || plan.repeat > 1 || !flags.encoding.empty()) return std::nullopt;
     NpzTarget target;
     target.path = *std::find_if(flags.outputs.begin(), flags.outputs.end(), isNpz);
-    target.values = listValues(flags);
+    target.form = listValues(flags);
     target.output = outputOptions(flags.common);
     target.checksum = flags.checksum || !flags.common.json.empty();
     return target;

@@ -1,0 +1,60 @@
+// The two sets of a search, sorted: who asks and among whom, on one lattice, or in parts on several where radii differ much.
+// Knows roles and radii; nothing of lists, and not who is a neighbor.
+//
+// A query is in one part: that of its radius, if the radii of queries decide. The candidates of a part are those in leaves that
+// touch one of its queries' leaves. Cells of the largest radius would hold crowds where radii are small: a lattice for each
+// factor of two keeps cells about as wide as the radii that are searched in them.
+#pragma once
+
+#include "grid/sparse_grid_data.h"
+#include "shared/membership.h"
+#include "util/memory.h"
+#include "vdb_nns/particle_set.h"
+#include "vdb_nns/search_options.h"
+#include "vdb_nns/search_sets.h"
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+namespace vdb_nns {
+
+struct SearchPart {
+    std::shared_ptr<const SparseGridData> queries, candidates; // the same grid where all have both roles
+    FilterBounds bounds{};                                     // of the part's largest radius
+    float nearestDoubt = 0; // scores further apart than this are ordered as the distances are
+    // By slot: FilterBounds::far of each radius; null where one radius serves all, or those of the other set decide.
+    std::shared_ptr<const PageArray<float>> queryFar, candidateFar;
+    std::uint32_t firstRow = 0; // queries of the parts before
+};
+
+struct SearchSetsData {
+    ParticleView queries, candidates;
+    Span<const std::uint8_t>
+        candidateChosen; // as ParticleSet::chosen; it and the spans of `radius` belong to the caller
+    Radius radius;
+    double largestRadius = 0; // of those that reach somebody
+    std::vector<SearchPart> parts;
+    std::uint64_t finiteQueries = 0; // of those that have the role
+    std::uint64_t nonfiniteQueries = 0, nonfiniteCandidates = 0;
+
+    // Whether a number means the same particle in both sets.
+    bool areSameParticles() const { return &queries.source() == &candidates.source(); }
+    // Whether a query is a candidate too.
+    bool isCandidate(std::uint32_t query) const
+    {
+        return areSameParticles() && (candidateChosen.empty() || candidateChosen[query]);
+    }
+    // Queries that have a row of their own: of all parts.
+    std::uint64_t rowCount() const;
+    std::uint64_t gridBytes() const;
+    // The same sets within a smaller radius, one for all. Throws InvalidInput for a larger one.
+    SearchSets withinRadius(double smaller) const;
+};
+
+// Sorts two sets for a radius. `options` as for SearchEngine::buildGrid(); hostMemoryBytes is for all grids together.
+// Throws as that, and InvalidInput for spans of a wrong size.
+SearchSetsData sortSets(const ParticleSet& candidates, const ParticleSet& queries, const Radius& radius,
+                        const SearchOptions& options, GridScratch& scratch);
+
+} // namespace vdb_nns
