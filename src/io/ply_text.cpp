@@ -17,6 +17,8 @@ namespace {
 
 // Large enough that a chunk's start-up is nothing, small enough to share the work of a file of some MB.
 constexpr std::size_t kChunkBytes = std::size_t(1) << 20;
+// The place of a property that is not read; at most three are.
+constexpr std::size_t kNotWanted = 3;
 
 struct Fault {
     const char* line;
@@ -80,7 +82,7 @@ public:
           mEnd(mFileBegin + body.file.bytes.size()),
           mLineEnd(body.header.lineEnd),
           mWidth(body.width()),
-          mPlaceOf(body.vertexElement().properties.size(), body.width())
+          mPlaceOf(body.vertexElement().properties.size(), kNotWanted)
     {
         for (std::size_t k = 0; k < mWidth; ++k) mPlaceOf[body.property[k]] = k;
     }
@@ -237,7 +239,7 @@ private:
         const char* next = first;
         for (std::size_t i = 0; i < mPlaceOf.size(); ++i) {
             if (next == end) return setWidthFault(vertex(), first, end, nullptr, fault);
-            if (mPlaceOf[i] < mWidth) {
+            if (mPlaceOf[i] != kNotWanted) {
                 if (!readWanted(first, next, end, i, out, fault)) return;
             } else {
                 next = skipValue(next, end);
@@ -279,7 +281,7 @@ private:
                     return;
                 }
                 next = skipBlanks(next, end);
-            } else if (out && mPlaceOf[i] < mWidth) {
+            } else if (out && mPlaceOf[i] != kNotWanted) {
                 if (!readWanted(first, next, end, i, out, fault)) return;
                 next = skipBlanks(next, end);
                 continue;
@@ -441,7 +443,7 @@ private:
     const char* const mEnd;
     const char mLineEnd;
     const std::size_t mWidth;             // numbers that are read of a vertex
-    std::vector<std::size_t> mPlaceOf;    // among them, of each property of a vertex; mWidth for none
+    std::vector<std::size_t> mPlaceOf;    // among them, of each property of a vertex
     std::vector<std::uint64_t> mFirstRow; // of each element, and behind all
     bool mIsCut = false;                  // rows behind the vertices are missing
     std::vector<Chunk> mChunks;
