@@ -24,7 +24,7 @@ struct SetContext {
         nullptr; // by slot of the queries: FilterBounds::far of its radius; null: that of `bounds`
     const float* candidateFar = nullptr; // by slot of the candidates; only for the larger radius of a pair
     bool excludesSelf = true;            // a query is no neighbor of the candidate with its number
-    bool addsSelf = false;   // a query that is a candidate stands in its row, beside the nearest
+    bool addsSelf = false;               // a query that is a candidate stands in its row, beside the nearest
     std::uint32_t nearest = 0;           // of each row, so many are kept; 0: all
     float nearestDoubt = 0;              // scores further apart than this are ordered as the distances are
 };

@@ -276,11 +276,6 @@ void buildSparseGrid(const GridMembers& members, double radius, const SearchOpti
                   [&](const Lattice& lattice) { return sortOn(members, lattice, options, scratch, grid); });
 }
 
-bool shareLattice(const SparseGridData& a, const SparseGridData& b)
-{
-    return a.lattice == b.lattice && haveSameCoordinates(a.view.source(), b.view.source());
-}
-
 std::uint64_t SparseGridData::bytes() const
 {
     return x.usedBytes() + y.usedBytes() + z.usedBytes() + number.usedBytes() + cellStart.usedBytes() +

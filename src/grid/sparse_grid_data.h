@@ -87,7 +87,4 @@ void buildSparseGrid(const GridMembers& members, const Lattice& lattice, const S
 void buildSparseGrid(const GridMembers& members, double radius, const SearchOptions& options,
                      GridScratch& scratch, SparseGridData& grid);
 
-// Whether the cells of one are those of the other: particles of both can be searched for each other.
-bool shareLattice(const SparseGridData& a, const SparseGridData& b);
-
 } // namespace vdb_nns

@@ -84,7 +84,7 @@ void expectSameCells(const PointSet& set, Form form, const Lattice& lattice)
         EXPECT_EQ(grid->reach(), lattice.reach);
         EXPECT_EQ(grid->cellSize(), lattice.cellSize);
     }
-    EXPECT_TRUE(shareLattice(a.data(), b.data()));
+    EXPECT_TRUE(a.lattice() == b.lattice());
     const std::vector<Vec3i> cells = cellsOf(whole), ofFirst = cellsOf(a), ofRest = cellsOf(b);
     for (std::size_t i = 0; i < cells.size(); ++i)
         ASSERT_EQ(cells[i], i < half ? ofFirst[i] : ofRest[i - half]) << "particle " << i;
@@ -114,26 +114,6 @@ TEST(Lattice, ACellBeginsAtItsReference)
     const Lattice lattice = latticeWith(0.5, 1, {10, -3, 7});
     const SparseGrid grid = SearchEngine().buildGrid(ParticleView::fromArray(xyz, 2), lattice);
     EXPECT_EQ(cellsOf(grid), (std::vector<Vec3i>{{1, 0, 0}, {0, 0, 0}}));
-}
-
-TEST(Lattice, IsSharedWhereStoredPositionsMeanTheSame)
-{
-    const PointSet set = randomSet(50, 4, 3);
-    const SetView doubles(set, Form::kDoubles), floats(set, Form::kFloats), voxels(set, Form::kVoxels);
-    PointSet turned = set;
-    turned.linear = linearMaps().back().linear;
-    const SetView others(turned, Form::kVoxels);
-    const Lattice lattice = latticeWith(1, 1);
-    const auto onIt = [&](const SetView& input) { return SearchEngine().buildGrid(input.view(), lattice); };
-    const SparseGrid grid = onIt(doubles);
-    EXPECT_TRUE(shareLattice(grid.data(), onIt(floats).data()));
-    EXPECT_FALSE(shareLattice(grid.data(), onIt(voxels).data()));
-    EXPECT_FALSE(shareLattice(onIt(others).data(), onIt(voxels).data()));
-    const SparseGrid moved = SearchEngine().buildGrid(doubles.view(), latticeWith(1, 1, {0, 0, 0.5}));
-    EXPECT_FALSE(shareLattice(grid.data(), moved.data()));
-    EXPECT_EQ(SearchRun(grid.data(), grid.data(), {}).radius, lattice.radius);
-    const std::string error = errorOf<InvalidInput>([&] { SearchRun(grid.data(), moved.data(), {}); });
-    EXPECT_NE(error.find("different lattices"), std::string::npos) << error;
 }
 
 // ---- choosing ------------------------------------------------------------------------------------------------------

@@ -54,7 +54,7 @@ protected:
     {
         NpzSearchOptions result;
         result.path = path("direct.npz");
-        result.values = values;
+        result.form = values;
         result.output.overwrite = true;
         result.windowBytes = windowBytes;
         return result;
@@ -237,6 +237,11 @@ RowRun runOf(std::uint64_t firstRow, const std::vector<std::uint32_t>& counts,
             rows.data()};
 }
 
+// Of lists without distances.
+class NoGeometry final : public RowGeometry {
+    double distance(std::size_t, std::size_t) const override { return 0; }
+};
+
 // Where the indices stand depends on whether they take 4 GiB, for most numbers of rows.
 TEST_F(NpzSearch, StartsAgainIfTheNumberOfPairsWasExpectedWrongly)
 {
@@ -244,11 +249,12 @@ TEST_F(NpzSearch, StartsAgainIfTheNumberOfPairsWasExpectedWrongly)
     const std::vector<const std::uint32_t*> rows = {row.data(), nullptr, nullptr, nullptr,
                                                     nullptr,    nullptr, nullptr};
     const CancelCheck cancel(nullptr, "test");
+    const NoGeometry none;
     OutputFile file(path("a.npz"), {});
-    NpzInOrder wrong(file, 7, std::uint64_t(1) << 31, nullptr, cancel);
+    NpzInOrder wrong(file, {7, 7}, std::uint64_t(1) << 31, {}, none, cancel);
     wrong.take(runOf(0, counts, rows));
     EXPECT_FALSE(wrong.finish(2));
-    NpzInOrder right(file, 7, 1000, nullptr, cancel);
+    NpzInOrder right(file, {7, 7}, 1000, {}, none, cancel);
     right.take(runOf(0, counts, rows));
     EXPECT_LT(allocatedBytes(file), 4 << 20); // a small file reserves little, whatever was expected
     EXPECT_TRUE(right.finish(2));
@@ -266,7 +272,7 @@ TEST_F(NpzSearch, StartsAgainIfTheNumberOfPairsWasExpectedWrongly)
     writeNpzRows(path("b.npz"), Rows(), ListValues::kConnectivity, {}, nullptr);
     EXPECT_TRUE(contents(path("a.npz")) == contents(path("b.npz")));
     OutputFile lost(path("c.npz"), {});
-    NpzInOrder few(lost, 8, 1000, nullptr, cancel);
+    NpzInOrder few(lost, {8, 8}, 1000, {}, none, cancel);
     few.take(runOf(0, counts, rows));
     EXPECT_THROW(few.finish(2), OutputError);
 }
@@ -278,10 +284,11 @@ TEST_F(NpzSearch, HasWideIndicesPast31BitsOfRows)
     const std::vector<const std::uint32_t*> rows = {row.data()};
     const CancelCheck cancel(nullptr, "test");
     OutputFile file(path("a.npz"), {});
-    NpzInOrder npz(file, rowCount, 2, nullptr, cancel);
+    const NoGeometry none;
+    NpzInOrder npz(file, {rowCount, rowCount}, 2, {}, none, cancel);
     npz.take(runOf(3, counts, rows));
     EXPECT_LT(allocatedBytes(file), 8 << 20); // the file is sparse
-    const NpzLayout layout = layoutNpz(rowCount, 2, ListValues::kConnectivity);
+    const NpzLayout layout = layoutNpz({rowCount, rowCount}, 2, ListValues::kConnectivity);
     std::ifstream written(file.temporaryPath(), std::ios::binary);
     std::int64_t values[2] = {};
     written.seekg(static_cast<std::streamoff>(layout.members[NpzLayout::kIndices].valueOffset));

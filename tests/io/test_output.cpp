@@ -660,7 +660,7 @@ TEST_F(OutputTest, npzPast4GiBUsesZip64)
           Case{10, kLimitPairs + 1, ListValues::kConnectivity},
           Case{1u << 20, std::uint64_t(3) << 30, ListValues::kDistance},
           Case{(std::uint64_t(1) << 31) + 5, std::uint64_t(5) << 30, ListValues::kConnectivity}}) {
-        NpzLayout layout = layoutNpz(c.rows, c.pairs, c.values);
+        NpzLayout layout = layoutNpz({c.rows, c.rows}, c.pairs, c.values);
         EXPECT_EQ(layout.indexBytes, c.rows > 0x7FFFFFFF ? 8u : 4u);
         OutputFile file(path("sparse.npz"), kOverwrite);
         for (NpzMember& member : layout.members) {
@@ -706,6 +706,7 @@ class TestRowSource final : public NpzRowSource {
 public:
     explicit TestRowSource(const TestRows& rows) : mRows(rows) {}
 
+    std::uint64_t columnCount() const override { return mRows.size(); }
     std::vector<std::uint32_t> counts() const override
     {
         std::vector<std::uint32_t> counts(mRows.size());

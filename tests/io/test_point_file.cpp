@@ -287,7 +287,7 @@ TEST_F(PointFileTest, voxelsAreALatticeOfTheirOwn)
     }
     // Another grid of the same voxels shares the lattice; one with others, and one with particles outside their voxels, cannot.
     const PointDataGrid::Ptr other = makeGrid<Truncate>(100, "points", edge->copy());
-    EXPECT_TRUE(shareLattice(engine.buildGrid(viewOf(other), lattice).data(), cells.data()));
+    EXPECT_TRUE(engine.buildGrid(viewOf(other), lattice).lattice() == cells.lattice());
     const PointDataGrid::Ptr wider =
         makeGrid<points::NullCodec>(100, "points", openvdb::math::Transform::createLinearTransform(0.31));
     EXPECT_THROW(engine.buildGrid(viewOf(wider), lattice), InvalidInput);

@@ -498,7 +498,8 @@ TEST(BlockImage, TakesTheBytesThatTheScheduleCounts)
 TEST(SimulatedDevice, HoldsItsBudgetToTheByte)
 {
     const Case& problem = sceneCase("sheet");
-    const SearchRun run(problem.grid.data(), problem.grid.data(), {});
+    const SearchRuns runs(problem.grid, {});
+    const SearchRun& run = runs[0];
     ThreadStates states;
     SimulatedDevice device("test", 1000, run, states);
     EXPECT_NE(device.allocate(400), nullptr);

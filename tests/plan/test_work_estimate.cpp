@@ -578,7 +578,7 @@ class CellSearcher {
 public:
     CellSearcher(const SparseGrid& grid, SimdLevel level)
         : mGrid(grid),
-          mKernels(kernelsFor(level)),
+          mKernels(kernelsFor(level).plain),
           mExact(grid.data().view, grid.radius()),
           mContext{blockViewOf(grid.data()),
                    makeFilterBounds(radiusInCells(grid.lattice(), grid.radius()), grid.reach(),
@@ -619,7 +619,7 @@ public:
 
 private:
     SparseGrid mGrid;
-    decltype(kernelsFor(SimdLevel::kBest)) mKernels;
+    const RowKernels& mKernels;
     ExactTest mExact;
     CancelCheck mCancel{nullptr, "test"};
     SearchContext mContext;

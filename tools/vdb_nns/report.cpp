@@ -455,6 +455,7 @@ std::string infoJson(const PointFileInfo& info)
     json["transform"] = info.transform;
     json["bbox"] = orNull(info.bbox);
     json["attributes"] = attributesJson(info.attributes);
+    json["groups"] = info.groups;
     json["suggested_radius"] = orNull(info.suggestedRadius);
     json["taken"] = info.taken.empty() ? Json(nullptr) : Json(info.taken);
     json["notes"] = info.notes;
@@ -483,8 +484,9 @@ std::string infoText(const PointFileInfo& info)
             line("bounds", format("%g %g %g to %g %g %g", low[0], low[1], low[2], high[0], high[1], high[2]));
     }
     for (const AttributeInfo& a : info.attributes) {
-        text += line("attribute", a.name + " (" + a.type + ", " + a.codec + ")");
+        text += line("attribute", a.name + " (" + a.type + (a.codec.empty() ? "" : ", " + a.codec) + ")");
     }
+    for (const std::string& group : info.groups) text += line("group", group);
     text += line("radius",
                  info.suggestedRadius ? shortest(*info.suggestedRadius) + " suggested" : "none suggested");
     return text;
