@@ -1,4 +1,5 @@
-"""Other queries, groups, radii of points, the nearest K, order, self: what verify passes and finds, and every refusal."""
+"""Other queries, groups, radii of points, the nearest K, order, self: what search finds, what verify passes and finds, and every
+refusal."""
 import os
 import re
 import zipfile
@@ -71,8 +72,34 @@ class Queries(CliCase):
                     np.lib.format.write_array(file, values)
         return self.path(name)
 
+    def finds(self, input, rows, columns, *args, distances=None):
+        """search writes the rows, however it holds them."""
+        out = self.path("found.npz")
+        ways = [[], ["--encoding", "index", "-T", "1"], ["--lists", "distance"], ["--host-memory", "150MiB"]]
+        if "--nearest" not in args:
+            ways.append(["--encoding", "mask"])
+        checksums = set()
+        for way in ways:
+            report = self.report("search", input, "-o", out, "--force", *args, *way)
+            found = np.load(out)
+            self.assertEqual(found["shape"].tolist(), [len(rows), columns], way)
+            self.assertEqual(np.diff(found["indptr"]).tolist(), [len(row) for row in rows], way)
+            self.assertEqual(found["indices"].tolist(), np.concatenate(rows).tolist(), way)
+            if distances is not None and "distance" in way:
+                expected = distances[np.repeat(np.arange(len(rows)), [len(row) for row in rows]), found["indices"]]
+                np.testing.assert_allclose(found["data"], expected, rtol=1e-6)
+            self.assertEqual(report["result"]["pairs"], len(found["indices"]), way)
+            checksums.add(report["result"]["checksum"])
+        counted = self.report("search", input, "--checksum", *args)["result"]
+        self.assertEqual(checksums | {counted["checksum"]}, checksums)
+        self.assertEqual(len(checksums), 1)
+        for key in ("pairs", "min", "mean", "max", "isolated", "shortened", "bad_radii"):
+            self.assertEqual(report["result"][key], counted[key], key)
+        return report["result"]
+
     def passes(self, input, rows, columns, *args, distances=None):
-        """The rows are right, and a pair less or more is not."""
+        """The rows are right, and found; a pair less or more is not right."""
+        self.finds(input, rows, columns, *args, distances=distances)
         path = self.lists(rows, columns, distances)
         report = self.report("verify", input, path, *args)
         self.assertTrue(report["passed"])
@@ -219,6 +246,7 @@ class Queries(CliCase):
                 ([], "no radius")):
             with self.subTest(args):
                 self.fails(2, "verify", self.input, lists, *args, says=says)
+                self.fails(2, "search", self.input, *args, says=says)
                 if says == "no radius":
                     continue
                 # Before a byte is read.
@@ -240,9 +268,32 @@ class Queries(CliCase):
             args = [word for flag in words for word in (*flag, *([values[flag[0]]] if flag[0] in values and len(flag) == 1 else []))]
             missing = re.search(r"`(--[a-z-]+)` is missing", why)
             with self.subTest(args):
-                done = self.fails(2, "verify", self.path("missing.vdb"), self.path("lists.npz"), *args)
                 says = [missing.group(1) + " is missing"] if missing else [flag[0] for flag in words]
-                self.assertTrue(any(name in done.err for name in says), done.err)
+                for command in (("verify", self.path("missing.vdb"), self.path("lists.npz")),
+                                ("search", self.path("missing.vdb"))):
+                    done = self.fails(2, *command, *args)
+                    self.assertTrue(any(name in done.err for name in says), done.err)
+
+    def test_what_search_alone_refuses(self):
+        self.fails(2, "search", self.input, "-r", "0.1", "--nearest", "2", "--encoding", "mask", says="--encoding mask and --nearest")
+        for flags in (["-r", "0.1", "--queries", self.queries], ["--radius-file", self.radius_file], ["-r", "0.1", "--nearest", "2"],
+                      ["-r", "0.1", "--include-self"]):
+            self.fails(2, "search", self.input, *flags, "--device", "sim", says="use --device cpu")
+        self.fails(1, "search", self.input, "--radius-file", self.radius_file, "--nonfinite", "fail", says="3 points have a radius")
+        for output in (self.queries, self.radius_file):
+            self.fails(2, "search", self.input, "--queries", self.queries, "--queries-radius-file", self.queries_radius_file,
+                       "--radius-file", self.radius_file, "--radius-mode", "symmetric", "--json", output, "--force")
+
+    def test_counts_of_other_queries_go_to_their_file(self):
+        points, probes = self.raw("named_values_points.f64"), self.raw("named_values_probes.f64")
+        rows, _ = rows_of(probes, points, 0.3, one_set=False, nearest=5)
+        out = self.path("counted.vdb")
+        report = self.report("search", self.vdb, "-g", "points", "--queries-grid", "probes", "-r", "0.3", "--nearest", "5", "-o", out)
+        self.assertEqual(report["queries"]["points"], len(probes))
+        self.assertEqual(report["result"]["shortened"], sum(len(r) > 5 for r in rows_of(probes, points, 0.3, one_set=False)[0]))
+        attributes = {g: [a["name"] for a in self.report("info", out, "-g", g)["attributes"]] for g in ("points", "probes")}
+        self.assertIn("nns_count", attributes["probes"])
+        self.assertNotIn("nns_count", attributes["points"])
 
     def test_names_that_are_not_there(self):
         lists = self.lists(rows_of(self.points, self.points, 0.1)[0], 300)
