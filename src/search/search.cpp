@@ -205,7 +205,7 @@ void visitTasks(EngineState& engine, const SearchSets& sets, const SearchOptions
                 MakeCallback&& makeCallback)
 {
     SearchOptions options = given;
-    options.encoding = Encoding::kIndex; // has no meaning here
+    if (options.encoding == Encoding::kMask) options.encoding = Encoding::kIndex; // has no meaning here
     checkOptions(options);
     isolated([&] {
         const double start = wallSeconds();

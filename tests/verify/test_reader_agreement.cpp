@@ -6,6 +6,7 @@
 #include "verify/array_points.h"
 
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <array>
@@ -488,10 +489,16 @@ Positions parsedPositions(const std::string& path, const MadeFile& file)
 }
 
 // Both readers on 400 files. A failure prints the seed of the file, which then lies at the path.
+// Of this process alone: several may run at once.
+std::string scratchFile(const std::string& extension)
+{
+    return ::testing::TempDir() + "vdb_nns_agreement_" + std::to_string(getpid()) + "." + extension;
+}
+
 void expectAgreement(const std::string& extension, MadeFile (*make)(Maker&),
                      Positions (*readByEngine)(const std::string&, const MadeFile&) = enginePositions)
 {
-    const std::string path = ::testing::TempDir() + "vdb_nns_agreement." + extension;
+    const std::string path = scratchFile(extension);
     for (std::uint64_t seed = 0; seed < 400; ++seed) {
         SCOPED_TRACE(path + " of seed " + std::to_string(seed));
         Maker maker(seed);
@@ -537,7 +544,7 @@ TEST(ReaderAgreement, Ply)
 // Every property that is one number, where the engine's reader finds nothing wrong with its values.
 TEST(ReaderAgreement, PlyProperties)
 {
-    const std::string path = ::testing::TempDir() + "vdb_nns_agreement_properties.ply";
+    const std::string path = scratchFile("ply");
     std::size_t compared = 0;
     for (std::uint64_t seed = 0; seed < 400; ++seed) {
         SCOPED_TRACE(path + " of seed " + std::to_string(seed));
@@ -562,7 +569,7 @@ TEST(ReaderAgreement, PlyProperties)
 
 TEST(ReaderAgreement, RadiusFiles)
 {
-    const std::string path = ::testing::TempDir() + "vdb_nns_agreement_radii.npy";
+    const std::string path = scratchFile("npy");
     for (const std::string type : {"<f4", ">f4", "<f8", ">f8"}) {
         for (const std::string shape : {"(6,)", "(6, 1)"}) {
             const std::size_t bytes = type[2] == '4' ? 4 : 8;
