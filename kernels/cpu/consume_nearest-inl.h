@@ -82,12 +82,30 @@ private:
             if (score > surely && score <= surelyNot) doubtful[doubts++] = numbers[i];
         }
         selectNearest(query, doubtful, doubts, wanted);
+        // Many are compared with the last of them, few are looked up, which is faster.
+        const bool areFew = wanted <= kFew;
+        const std::uint32_t last = areFew ? 0 : farthestOf(query, doubtful, wanted);
+        const auto isTaken = [&](std::uint32_t number) {
+            if (areFew) return contains(doubtful, wanted, number);
+            return number == last || mExact.isNearer(mExact.state, query, number, last);
+        };
         for (std::uint32_t i = 0; i < count; ++i) {
             const float score = scoreOf(scores[i]);
             if (score > surelyNot) continue;
-            if (score > surely && !contains(doubtful, wanted, numbers[i])) continue;
+            if (score > surely && !isTaken(numbers[i])) continue;
             *out++ = numbers[i];
         }
+    }
+
+    static constexpr std::uint32_t kFew = 64;
+
+    std::uint32_t farthestOf(std::uint32_t query, const std::uint32_t* numbers, std::uint32_t count) const
+    {
+        std::uint32_t farthest = numbers[0];
+        for (std::uint32_t i = 1; i < count; ++i) {
+            if (mExact.isNearer(mExact.state, query, farthest, numbers[i])) farthest = numbers[i];
+        }
+        return farthest;
     }
 
     static bool contains(const std::uint32_t* numbers, std::uint32_t count, std::uint32_t number)
@@ -179,12 +197,12 @@ struct NearestRows {
             const Row begin = rows.emptyRow(place);
             const auto found = static_cast<std::uint32_t>(row.numbers - begin.numbers);
             const std::uint32_t query = rows.context.sets.queries.number[slot];
-            const std::uint32_t most =
-                rows.context.sets.nearest + (rows.context.sets.addsSelf && keepSelf(query, begin, found));
-            const std::uint32_t count = found < most ? found : most;
+            const std::uint32_t self = rows.context.sets.addsSelf && keepSelf(query, begin, found);
+            const std::uint32_t nearest = rows.context.sets.nearest;
+            const std::uint32_t count = found - self > nearest ? nearest + self : found;
             std::uint32_t* const out = rows.target.reserve(count + Simd::kLanes);
             if (found > count) {
-                rows.cut.cut(query, begin.numbers, begin.scores, found, most, out);
+                rows.cut.cut(query, begin.numbers, begin.scores, found, count, out);
                 ++rows.statistics.shortened;
             } else {
                 for (std::uint32_t k = 0; k < count; k += Simd::kLanes) {

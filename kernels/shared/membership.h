@@ -101,13 +101,12 @@ static inline FilterBounds makeFilterBounds(double radiusCells, int reach, doubl
     return bounds;
 }
 
-/// FilterBounds::far of a particle's own radius, in a search whose largest radius has the error `error`. A radius that is not
-/// positive and finite reaches nobody.
+/// FilterBounds::far of a particle's own radius, in a search whose largest radius has the error `error`. One that is not positive
+/// and finite reaches nobody, and counts as 0: of those at the same place the exact test decides.
 static inline float farOf(double radiusCells, const FilterError& error)
 {
-    constexpr float kNobody = -1e30f;
-    return radiusCells > 0 && radiusCells <= 1e6 ? static_cast<float>(radiusCells * radiusCells + error.beta)
-                                                 : kNobody;
+    const double rho = radiusCells > 0 && radiusCells <= 1e6 ? radiusCells : 0;
+    return static_cast<float>(rho * rho + error.beta);
 }
 
 /// FilterBounds::reachable of particles of which the largest has this farOf().

@@ -311,7 +311,8 @@ bool ExactTest::isNeighbor(std::uint32_t query, std::uint32_t candidate, ExactTe
     if (mRadius.isOne() && &queries == &candidates && !queries.isArray())
         return isNeighborInGrid(query, candidate, memory, exactPairs);
     const double radius = radiusOfPair(mRadius, query, candidate);
-    if (!(radius > 0)) return false;
+    if (!(radius > 0))
+        return query == candidate && &queries == &candidates; // asked for in its own list alone
     const StoredPosition a = queries.stored(query), b = candidates.stored(candidate);
     const Verdict verdict = mScale != 0 ? doubleTest(a, b, radius) : Verdict::kUndecided;
     if (verdict != Verdict::kUndecided) return verdict == Verdict::kYes;

@@ -12,10 +12,11 @@
 namespace vdb_nns {
 
 CellMap::CellMap(const ParticleSource& source, const Lattice& lattice, SimdLevel simd,
-                 const ParticleSource* home)
+                 const ParticleSource* home, double limit)
     : reference(lattice.reference),
       mRadius(lattice.radius),
       mCellsPerUnit(cellsPerUnit(lattice)),
+      mLimit(limit),
       mIsArray(source.isArray()),
       mIsHome(!home || haveSameCoordinates(source, *home)),
       mLocateAxis(kernelsFor(simd).locateAxis)
@@ -63,7 +64,7 @@ bool CellMap::locate(const double (*stored)[kBatch], std::size_t count, Located&
         if (!mIsHome) {
             for (std::size_t i = 0; i < count; ++i) t[i] += mOffset[k];
         }
-        inside &= mLocateAxis(t, count, kCellLimit, out.leaf[k], out.local[k]);
+        inside &= mLocateAxis(t, count, mLimit, out.leaf[k], out.local[k]);
     }
     return inside;
 }
@@ -74,7 +75,7 @@ bool CellMap::inRange(double cx, double cy, double cz) const
     for (int k = 0; k < 3; ++k) {
         double t = mIsArray ? stored[k] * mCellsPerUnit : cell(k, cx, cy, cz);
         if (!mIsHome) t += mOffset[k];
-        if (!(std::fabs(t) < kCellLimit)) return false;
+        if (!(std::fabs(t) < mLimit)) return false;
     }
     return true;
 }

@@ -27,8 +27,9 @@ namespace vdb_nns {
 
 struct CellMap {
     // `home`: in whose stored coordinates the lattice's reference is; the source itself unless told.
+    // `limit`: cell coordinates stay inside.
     CellMap(const ParticleSource& source, const Lattice& lattice, SimdLevel simd,
-            const ParticleSource* home = nullptr);
+            const ParticleSource* home = nullptr, double limit = kCellLimit);
 
     static constexpr std::size_t kBatch =
         512; // particles: what locate() works on stays in the first-level cache
@@ -63,7 +64,7 @@ private:
     void setHome(const ParticleSource& source, const ParticleSource& home);
 
     double mRadius; // of the lattice
-    double mCellsPerUnit;
+    double mCellsPerUnit, mLimit;
     Matrix3 mMatrix;        // linear * cells in a unit
     Matrix3 mSpread;        // |mMatrix| |its inverse|
     Vec3d mOffset{};        // of the reference from the lattice's, in cells

@@ -1,7 +1,9 @@
 #include "grid/search_sets_data.h"
 
+#include "grid/cell_map.h"
 #include "grid/lattice.h"
 #include "grid/lattice_choice.h"
+#include "util/known_value.h"
 #include "vdb_nns/error.h"
 
 #include <tbb/blocked_range.h>
@@ -43,6 +45,7 @@ void checkSets(const ParticleSet& candidates, const ParticleSet& queries, const 
     requireSize("the chosen queries", queries.chosen.size(), queries.view);
     requireSize("the radii of the candidates", radius.ofCandidates.size(), candidates.view);
     requireSize("the radii of the queries", radius.ofQueries.size(), queries.view);
+    requireKnown(radius.mode, RadiusMode::kSymmetric, "mode of radii");
     if (radius.isOne()) return checkRadius(radius.value);
     const bool needsQueries = radius.mode != RadiusMode::kScatter && queries.view.size() > 0;
     const bool needsCandidates = radius.mode != RadiusMode::kGather && candidates.view.size() > 0;
@@ -192,13 +195,13 @@ public:
         SearchOptions options = mOptions;
         // Many passes would take longer to look at the density than cells of the radius lose.
         if (!isOnlyPart && options.cellSize == 0) options.cellSize = 1;
-        part.queries = sorted(queries, largest, options);
+        part.queries = sorted(queries, largest, options, 0);
         part.candidates = part.queries;
         if (!haveBoth) {
             GridMembers candidates(mCandidates.view);
             candidates.chosen = mCandidates.chosen;
             candidates.around = part.queries.get();
-            part.candidates = sorted(candidates, part.queries->lattice, options);
+            part.candidates = sorted(candidates, part.queries->lattice, options, part.queries->bytes());
         }
         finish(part, largest);
     }
@@ -206,9 +209,9 @@ public:
 private:
     template <typename LatticeOrRadius>
     std::shared_ptr<const SparseGridData> sorted(const GridMembers& members, const LatticeOrRadius& where,
-                                                 SearchOptions options)
+                                                 SearchOptions options, std::uint64_t otherBytes)
     {
-        const std::uint64_t held = mSets.gridBytes();
+        const std::uint64_t held = mSets.gridBytes() + otherBytes;
         if (options.hostMemoryBytes) options.hostMemoryBytes -= std::min(options.hostMemoryBytes - 1, held);
         const auto grid = std::make_shared<SparseGridData>();
         buildSparseGrid(members, where, options, mScratch, *grid);
@@ -264,14 +267,16 @@ std::uint64_t SearchSetsData::gridBytes() const
     return bytes;
 }
 
-SearchSets SearchSetsData::withinRadius(double smaller) const
+SearchSets setsWithin(const SearchSets& given, double radius)
 {
-    const auto sets = std::make_shared<SearchSetsData>(*this);
-    for (SearchPart& part : sets->parts) {
-        const double within = searchRadius(part.queries->lattice, smaller);
-        setBounds(part, within, 4);
+    if (radius == 0 || radius == given.radius()) return given;
+    if (!given.data().radius.isOne()) {
+        throw InvalidInput("the particles have radii of their own, and the options another one: leave that "
+                           "of the options out");
     }
-    sets->radius.value = sets->largestRadius = smaller;
+    const auto sets = std::make_shared<SearchSetsData>(given.data());
+    for (SearchPart& part : sets->parts) setBounds(part, searchRadius(part.queries->lattice, radius), 4);
+    sets->radius.value = sets->largestRadius = radius;
     return SearchSets(sets);
 }
 
@@ -354,6 +359,20 @@ std::uint64_t SearchSets::cellCount() const
     return cells;
 }
 
+// Where no radius reaches anybody: one that a lattice of few particles a cell can have, whatever the units are.
+static double smallRadius(const ParticleSource& source)
+{
+    const Bounds bounds = boundsOf(source, source.reference());
+    double extent = 0;
+    for (const auto& row : source.linear()) {
+        double sum = 0;
+        for (int c = 0; c < 3; ++c) sum += std::fabs(row[c]) * (bounds.high[c] - bounds.low[c]);
+        extent = std::max(extent, sum);
+    }
+    const double radius = extent * 0x1p-20;
+    return radius > kSmallestEdge && std::isfinite(radius) ? radius : 1;
+}
+
 SearchSetsData sortSets(const ParticleSet& candidates, const ParticleSet& queries, const Radius& radius,
                         const SearchOptions& options, GridScratch& scratch)
 {
@@ -373,7 +392,7 @@ SearchSetsData sortSets(const ParticleSet& candidates, const ParticleSet& querie
     if (radius.mode != RadiusMode::kScatter) census.add(censusOf(radius.ofQueries, queries.chosen));
     if (radius.mode != RadiusMode::kGather) census.add(censusOf(radius.ofCandidates, candidates.chosen));
     sets.largestRadius = census.largest;
-    const double some = census.largest > 0 ? census.largest : 1; // no radius reaches anybody
+    const double some = census.largest > 0 ? census.largest : smallRadius(queries.view.source());
     const std::vector<RadiusClass> classes =
         radius.mode == RadiusMode::kGather ? classesOf(census) : std::vector<RadiusClass>();
     if (classes.size() <= 1) {

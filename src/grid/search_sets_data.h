@@ -48,9 +48,11 @@ struct SearchSetsData {
     // Queries that have a row of their own: of all parts.
     std::uint64_t rowCount() const;
     std::uint64_t gridBytes() const;
-    // The same sets within a smaller radius, one for all. Throws InvalidInput for a larger one.
-    SearchSets withinRadius(double smaller) const;
 };
+
+// The same sets within a smaller radius, one for all; 0: as they are. Throws InvalidInput for a larger one, and where particles have
+// radii of their own.
+SearchSets setsWithin(const SearchSets& sets, double radius);
 
 // Sorts two sets for a radius. `options` as for SearchEngine::buildGrid(); hostMemoryBytes is for all grids together.
 // Throws as that, and InvalidInput for spans of a wrong size.

@@ -182,7 +182,9 @@ LatticeFit sortIntoCells(const GridMembers& members, const Lattice& lattice, con
 {
     const ParticleSource& source = members.view.source();
     const CancelCheck cancel(options.progress, "grid");
-    const CellMap map(source, lattice, options.simd, members.home);
+    // Those around others may be past the limit by what the others reach.
+    const double limit = members.around ? kCellLimit + 2 * 8 : kCellLimit;
+    const CellMap map(source, lattice, options.simd, members.home, limit);
     scratch.leafOf.resizeDiscarding(source.size());
     Placement placed = placeParticles(members, map, options, scratch.leafOf.data(), cancel);
     if (placed.outOfRange && !members.around) return {};

@@ -12,7 +12,7 @@ namespace {
 constexpr std::uint64_t kMiB = std::uint64_t(1) << 20;
 // The dozen large arrays of a search each end inside of a huge page of 2 MiB; and the heap's own losses.
 constexpr std::uint64_t kArrayReserve = 24 * kMiB;
-// A thread's scratch, stack and heap. Scratch is 48 bytes for each particle of a leaf and its halo.
+// A thread's scratch, stack and heap. Scratch is 76 bytes for each particle of a leaf and its halo.
 constexpr std::uint64_t kThreadReserve = 4 * kMiB;
 // writeNpz(): two blocks of 2 M pairs and their ends.
 constexpr std::uint64_t kNpzWriter = 52 * kMiB;

@@ -91,22 +91,6 @@ SearchSets SearchEngine::sort(const ParticleSet& candidates, const ParticleSet& 
     });
 }
 
-namespace {
-
-// The sets within the radius of the options, if they have one.
-SearchSets setsWithin(const SearchSets& sets, double radius)
-{
-    const SearchSetsData& data = sets.data();
-    if (radius == 0 || radius == sets.radius()) return sets;
-    if (!data.radius.isOne()) {
-        throw InvalidInput("the particles have radii of their own, and the options another one: leave that "
-                           "of the options out");
-    }
-    return data.withinRadius(radius);
-}
-
-} // namespace
-
 NeighborLists SearchEngine::search(const SparseGrid& grid, const SearchOptions& options)
 {
     return search(SearchSets(grid), options);

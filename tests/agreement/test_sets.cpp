@@ -146,7 +146,9 @@ void expectRight(const EngineProblem& engineProblem, const std::string& what)
             ASSERT_NE(cellSize, 0) << what;
             continue;
         }
-        for (int level = 0; level <= static_cast<int>(bestSimdLevel()); ++level) {
+        // Every instruction set in cells of one size, the best in all.
+        const int best = static_cast<int>(bestSimdLevel());
+        for (int level = cellSize == 0.5 ? 0 : best; level <= best; ++level) {
             options.simd = static_cast<SimdLevel>(level);
             for (const Encoding encoding : {Encoding::kIndex, Encoding::kMask, Encoding::kNone}) {
                 if (encoding == Encoding::kMask && problem.nearest > 0) continue;
@@ -253,7 +255,7 @@ TEST_P(Sets, RadiiOfParticlesDecide)
 
 TEST_P(Sets, TheNearestAreKept)
 {
-    for (const std::size_t nearest : {1, 2, 8, 40}) {
+    for (const std::size_t nearest : {1, 3, 20}) {
         SetProblem some = problem();
         some.nearest = nearest;
         expect(some, "nearest " + std::to_string(nearest));
