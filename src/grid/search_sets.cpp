@@ -369,7 +369,7 @@ static double smallRadius(const ParticleSource& source)
         for (int c = 0; c < 3; ++c) sum += std::fabs(row[c]) * (bounds.high[c] - bounds.low[c]);
         extent = std::max(extent, sum);
     }
-    const double radius = extent * 0x1p-20;
+    const double radius = extent * 0x1p-10;
     return radius > kSmallestEdge && std::isfinite(radius) ? radius : 1;
 }
 

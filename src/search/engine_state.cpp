@@ -197,11 +197,15 @@ void EngineState::checkCapacity(const SearchRuns& runs, Encoding encoding, std::
         state.sink.slotBase = 0;
         state.sink.rowCount = counts + run.firstRow;
         runTask(run, run.kernels.count, state, task);
-        const std::uint32_t nearest = run.context.sets.nearest;
-        const std::uint64_t most =
-            std::uint64_t(task.endSlot - task.firstSlot) * (std::uint64_t(nearest) + 1);
-        const std::uint64_t pairs = state.statistics.pairs - before;
-        return (nearest > 0 ? std::min(pairs, most) : pairs) * sizeof(std::uint32_t);
+        const SetContext& sets = run.context.sets;
+        std::uint64_t pairs = state.statistics.pairs - before;
+        if (sets.nearest > 0) {
+            pairs = 0;
+            const std::uint64_t most = std::uint64_t(sets.nearest) + sets.addsSelf;
+            for (std::uint32_t slot = task.firstSlot; slot < task.endSlot; ++slot)
+                pairs += std::min<std::uint64_t>(state.sink.rowCount[slot], most);
+        }
+        return pairs * sizeof(std::uint32_t);
     };
     ThreadState& here = states.local();
     double expected = 0;

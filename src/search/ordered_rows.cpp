@@ -53,8 +53,42 @@ struct OrderedSearch::TaskOrder {
     TaskOrder(const SparseGridData& grid, const std::vector<Piece>& unordered);
 };
 
+namespace {
+
+// How many particles of a grid have numbers below another.
+class NumberRanks {
+public:
+    explicit NumberRanks(const SparseGridData& grid) : mAreAll(grid.particleCount() == grid.view.size())
+    {
+        if (mAreAll) return;
+        mWords.resize(grid.view.size() / 64 + 1);
+        for (const std::uint32_t number : grid.number) mWords[number / 64] |= std::uint64_t(1) << number % 64;
+        mBefore.reserve(mWords.size());
+        std::uint64_t sum = 0;
+        for (const std::uint64_t word : mWords) {
+            mBefore.push_back(static_cast<std::uint32_t>(sum));
+            sum += static_cast<std::uint64_t>(__builtin_popcountll(word));
+        }
+    }
+
+    std::uint64_t of(std::uint32_t number) const
+    {
+        if (mAreAll) return number;
+        const std::uint64_t below = mWords[number / 64] & ((std::uint64_t(1) << number % 64) - 1);
+        return mBefore[number / 64] + static_cast<std::uint64_t>(__builtin_popcountll(below));
+    }
+
+private:
+    bool mAreAll;
+    std::vector<std::uint64_t> mWords; // a bit for each number that is there
+    std::vector<std::uint32_t> mBefore;
+};
+
+} // namespace
+
 OrderedSearch::TaskOrder::TaskOrder(const SparseGridData& grid, const std::vector<Piece>& unordered)
 {
+    const NumberRanks ranks(grid);
     struct Numbered {
         std::uint32_t lowest, piece;
     };
@@ -71,7 +105,7 @@ OrderedSearch::TaskOrder::TaskOrder(const SparseGridData& grid, const std::vecto
     pieces.reserve(unordered.size());
     std::uint64_t queries = 0;
     for (const Numbered& next : order) {
-        windowRows = std::max(windowRows, queries - std::min<std::uint64_t>(queries, next.lowest));
+        windowRows = std::max(windowRows, queries - std::min(queries, ranks.of(next.lowest)));
         const Piece& piece = unordered[next.piece];
         if (batches.empty() || batches.back().queries >= kBatchQueries)
             batches.push_back({next.lowest, pieces.size(), pieces.size(), 0});
@@ -356,10 +390,7 @@ private:
 };
 
 OrderedSearch::OrderedSearch(EngineState& engine, const SearchSets& sets, const SearchOptions& options)
-    : mEngine(engine),
-      mOptions(options),
-      mRuns(options.radius == 0 ? sets : sets.data().withinRadius(options.radius), options),
-      mRun(mRuns[0])
+    : mEngine(engine), mOptions(options), mRuns(setsWithin(sets, options.radius), options), mRun(mRuns[0])
 {
     mOrder = std::make_unique<TaskOrder>(mRun.queries, mRun.pieces);
     sampleNeighbors();
@@ -387,8 +418,8 @@ void OrderedSearch::sampleNeighbors()
         state.sink.rowCount = &count;
         mEngine.runTask(mRun, mRun.kernels.count, state,
                         {piece->leaf, slot, slot + 1, neighborhood.leaf, cells});
-        const std::uint32_t most = mRun.context.sets.nearest;
-        neighbors += most > 0 ? std::min(count, most + 1) : count;
+        const std::uint64_t most = mRun.context.sets.nearest;
+        neighbors += static_cast<double>(most > 0 ? std::min<std::uint64_t>(count, most + 1) : count);
     }
     if (sampled > 0) mExpectedNeighbors = neighbors / static_cast<double>(sampled);
 }

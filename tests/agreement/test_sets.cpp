@@ -247,6 +247,8 @@ TEST_P(Sets, RadiiOfParticlesDecide)
         radii.mode = mode;
         radii.queries.radii = radii.candidates.radii = someRadii(n, set().radius, 4, random);
         expect(radii, "radii, mode " + std::to_string(static_cast<int>(mode)));
+        radii.includeSelf = true;
+        expect(radii, "radii, with themselves, mode " + std::to_string(static_cast<int>(mode)));
         radii.queries.chosen = someOf(n, 0.6, random);
         radii.nearest = 3;
         expect(radii, "radii and roles, mode " + std::to_string(static_cast<int>(mode)));
@@ -432,6 +434,56 @@ TEST_F(SetInvariance, EqualRadiiAreOne)
         for (std::size_t i = 0; i < one.size(); ++i) {
             const Span<const std::uint32_t> a = one.indices(i), b = many.indices(i);
             ASSERT_TRUE(std::equal(a.begin(), a.end(), b.begin(), b.end())) << i;
+        }
+    }
+}
+
+TEST_F(SetInvariance, NobodyMayReachAnybody)
+{
+    const std::vector<double> none(6000, 0.0);
+    for (const float scale : {1e-6f, 1.0f, 1e12f}) {
+        std::vector<float> positions = mPositions;
+        for (float& x : positions) x *= scale;
+        const ParticleView view = ParticleView::fromArray(positions.data(), 6000);
+        for (const RadiusMode mode : {RadiusMode::kGather, RadiusMode::kScatter, RadiusMode::kSymmetric}) {
+            Radius radius;
+            radius.ofQueries = radius.ofCandidates = spanOf(none);
+            radius.mode = mode;
+            const NeighborLists lists = search(view, view, radius);
+            EXPECT_EQ(lists.pairCount(), 0u);
+            EXPECT_EQ(lists.statistics().isolated, 6000u);
+        }
+    }
+}
+
+// A candidate may stand past the last cell that a query may have.
+TEST(TwoSets, CandidatesPastTheLimitAreFound)
+{
+    const double query[3] = {2147512319.5, 0, 0}, candidate[3] = {2147512320.25, 0, 0};
+    SearchOptions options;
+    options.cellSize = 1;
+    const NeighborLists lists =
+        search(ParticleView::fromArray(candidate, 1), ParticleView::fromArray(query, 1), 1, options);
+    EXPECT_EQ(lists.pairCount(), 1u);
+}
+
+// Of many at one place, those of the smallest numbers are the nearest.
+TEST(TwoSets, OfManyAtOnePlaceTheFirstAreNearest)
+{
+    const std::vector<float> positions(3 * 2000, 1.0f);
+    const ParticleView view = ParticleView::fromArray(positions.data(), 2000);
+    SearchOptions options;
+    for (const std::uint32_t nearest : {1u, 64u, 65u, 900u, 4294967295u}) {
+        options.nearest = nearest;
+        for (const bool self : {false, true}) {
+            options.includeSelf = self;
+            const NeighborLists lists = search(view, view, 1, options);
+            std::vector<std::uint32_t> row;
+            lists.neighbors(1999, row);
+            const std::size_t neighbors = std::min<std::size_t>(nearest, 1999);
+            ASSERT_EQ(row.size(), neighbors + self);
+            for (std::uint32_t k = 0; k < neighbors; ++k) ASSERT_EQ(row[k], k);
+            EXPECT_EQ(row.back(), self ? 1999 : neighbors - 1);
         }
     }
 }

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
 
 namespace vdb_nns::testing {
 
@@ -106,6 +107,11 @@ SetAnswer setOracle(const SetProblem& problem)
             if (!problem.candidates.has(c) || (problem.areSame && c == q)) continue;
             if (isWithin(problem, q, c)) row.push_back(static_cast<std::uint32_t>(c));
         }
+        std::map<std::uint32_t, Rational> exact; // of this query, as far as they are needed
+        const auto exactOf = [&](std::uint32_t c) -> const Rational& {
+            const auto found = exact.find(c);
+            return found != exact.end() ? found->second : exact[c] = exactSquare(problem, q, c);
+        };
         std::sort(row.begin(), row.end(), [&](std::uint32_t a, std::uint32_t b) {
             const ExactPoint &toA = problem.candidates.points[a], &toB = problem.candidates.points[b];
             if (toA.voxel == toB.voxel && toA.offset == toB.offset) return a < b;
@@ -113,7 +119,7 @@ SetAnswer setOracle(const SetProblem& problem)
             const long double doubt = x.error + y.error;
             if (x.value + doubt < y.value) return true;
             if (y.value + doubt < x.value) return false;
-            const Rational exactX = exactSquare(problem, q, a), exactY = exactSquare(problem, q, b);
+            const Rational &exactX = exactOf(a), &exactY = exactOf(b);
             return exactX != exactY ? exactX < exactY : a < b;
         });
         if (problem.nearest > 0 && row.size() > problem.nearest) {
