@@ -35,7 +35,8 @@ struct ListStatistics {
 };
 
 /// The result of a search: the neighbors of every particle. Immutable; a cheap handle whose copies share the
-/// data. The data stays valid while any handle lives, whatever the engine that made it does next. Safe to
+/// data. The data stays valid while any handle lives, whatever the engine that made it does next; arrays that the
+/// caller gave to the search (positions, chosen particles, radii) must live as long. Safe to
 /// read from several threads, and from inside parallel work (search.h).
 ///
 /// The number i of a query must be below size(); that is not checked.
