@@ -1,5 +1,6 @@
 // The particles around a leaf, gathered into the thread's scratch memory. Three ways:
-//   fillHalo()  with the start of every cell of the cube of leaf and halo, so that the cells of a column stand together
+//   fillHalo()  with the start of every cell of the cube of leaf and halo, so that the cells of a column stand together;
+//               fillHaloBox() of a part of the cube
 //   copyReach() around one cell of it
 //   listRuns()  and copyRuns(), without: for leaves so sparse that a table of cells costs more than testing everything
 // Internal linkage; see simd.h.
@@ -107,6 +108,54 @@ inline void fillHalo(const BlockView& block, const LeafCells* leaves, HaloScratc
         }
     }
     *start = at;
+}
+
+// A box of cells about a leaf: from `low` to `high` on each axis, -reach to 7 + reach.
+struct CellBox {
+    int low[3], high[3];
+};
+
+// fillHalo() for the cells of a box; of the starts those of its cells and the end of each of its columns. Returns how many
+// particles there are.
+template <bool kFar>
+inline std::uint32_t fillHaloBox(const BlockView& block, const LeafCells* leaves, const CellBox& box,
+                                 HaloScratch& halo, const float* far)
+{
+    const int reach = block.reach, side = 8 + 2 * reach;
+    std::uint32_t at = 0;
+    for (int x = box.low[0]; x <= box.high[0]; ++x) {
+        const int nx = (x + 8) >> 3;
+        for (int y = box.low[1]; y <= box.high[1]; ++y) {
+            const int ny = (y + 8) >> 3;
+            std::uint32_t* start = halo.start + ((x + reach) * side + y + reach) * side + box.low[2] + reach;
+            for (int nz = (box.low[2] + 8) >> 3; nz <= (box.high[2] + 8) >> 3; ++nz) {
+                const int low = box.low[2] - 8 * (nz - 1), high = box.high[2] - 8 * (nz - 1);
+                const int z0 = low > 0 ? low : 0, z1 = high < 7 ? high : 7;
+                const LeafCells& leaf = leaves[nx * 9 + ny * 3 + nz];
+                const std::uint64_t word = leaf.word[x & 7];
+                const int lowest = 8 * (y & 7) + z0;
+                std::uint64_t bits = word >> lowest & ((std::uint64_t(2) << (z1 - z0)) - 1);
+                if (!bits) {
+                    for (int z = z0; z <= z1; ++z) *start++ = at;
+                    continue;
+                }
+                const std::uint64_t below = word & ((std::uint64_t(1) << lowest) - 1);
+                const std::uint32_t* cell =
+                    block.cellStart + leaf.firstCell[x & 7] + __builtin_popcountll(below);
+                const std::uint32_t begin = *cell, offset = at - begin;
+                for (int z = z0; z <= z1; ++z, bits >>= 1) {
+                    *start++ = *cell + offset;
+                    cell += bits & 1;
+                }
+                const float shift[3] = {8.0f * (nx - 1), 8.0f * (ny - 1), 8.0f * (nz - 1)};
+                copyRun<kFar>(block, far, halo.halo() + std::size_t(at) * sizeof(float), halo.stride, begin,
+                              *cell, shift);
+                at += *cell - begin;
+            }
+            *start = at;
+        }
+    }
+    return at;
 }
 
 // Particles of consecutive cells of one column in one of the 27 leaves.

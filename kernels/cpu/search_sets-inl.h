@@ -58,7 +58,7 @@ struct SetSearch {
     HaloSetFrame<Rule> haloFrame(std::uint32_t first, std::uint32_t count, std::uint32_t slot) const
     {
         return {scratch.halo() + std::size_t(first) * sizeof(float), scratch.stride, count,
-                SetQueries(context.sets, slot, 0, 0, 0)};
+                SetQueries(context.sets, slot, positionsOf(context.sets.queries, slot), {0, 0, 0})};
     }
 };
 
@@ -129,6 +129,22 @@ void searchSetCells(const Search& search)
     }
 }
 
+// The queries of a cell, against those of its candidates that are near their ball.
+template <typename Search>
+inline void searchNear(const Search& search, Pace& pace, float reachable, const QueryPositions& positions,
+                       const std::uint32_t* lowest, CellSearch& cell, std::uint32_t slot)
+{
+    using Rule = typename Search::Rule;
+    HaloScratch& scratch = search.scratch;
+    const QueryBounds where = boundsOf(reachable, positions.x, positions.y, positions.z, cell.queries);
+    gatherNear<Gathered<Search::Consumer::kByCandidate, Rule::kOfCandidates>, false>(
+        where, scratch, search.context.block.reach, lowest, cell);
+    const KeptSetFrame<Rule> frame{scratch.kept(), scratch.stride, cell.kept,
+                                   SetQueries(search.context.sets, slot, positions, where.center)};
+    pace.run({0, cell.queries, slot, cell.candidates}, cell.kept,
+             [&](const Queries& part) { searchRows(search.consumer, frame, part, search.test); });
+}
+
 // All cells, against the halo of the leaf.
 template <typename Search>
 void searchSetLeaf(const Search& search, std::size_t candidates)
@@ -142,22 +158,92 @@ void searchSetLeaf(const Search& search, std::size_t candidates)
     pace.copied(candidates);
     if constexpr (Search::Consumer::kByCandidate)
         search.consumer.reserve(rowWordsOf(queries, search.task, scratch));
-    forEachCell(
-        queries, search.task, scratch,
-        [&](const std::uint32_t* lowest, CellSearch& cell, std::uint32_t firstSlot) {
-            const float reachable = Rule::kOfCandidates
-                                        ? context.bounds.reachable
-                                        : reachableOfQueries(context, firstSlot, cell.queries);
-            const QueryBounds where = boundsOf(reachable, queries.x + firstSlot, queries.y + firstSlot,
-                                               queries.z + firstSlot, cell.queries);
-            gatherNear<Gathered<Search::Consumer::kByCandidate, Rule::kOfCandidates>, false>(
-                where, scratch, context.block.reach, lowest, cell);
-            const KeptSetFrame<Rule> frame{
-                scratch.kept(), scratch.stride, cell.kept,
-                SetQueries(context.sets, firstSlot, where.center[0], where.center[1], where.center[2])};
-            pace.run({0, cell.queries, firstSlot, cell.candidates}, cell.kept,
-                     [&](const Queries& part) { searchRows(search.consumer, frame, part, search.test); });
+    forEachCell(queries, search.task, scratch,
+                [&](const std::uint32_t* lowest, CellSearch& cell, std::uint32_t firstSlot) {
+                    const float reachable = Rule::kOfCandidates
+                                                ? context.bounds.reachable
+                                                : reachableOfQueries(context, firstSlot, cell.queries);
+                    searchNear(search, pace, reachable, positionsOf(queries, firstSlot), lowest, cell,
+                               firstSlot);
+                });
+}
+
+// The queries that a run of cells has, and the cell that they are in: of the leaf of candidates whose halo is filled.
+struct WideQueries {
+    std::uint32_t slot, count;
+    const std::uint32_t* lowest; // as forEachCell() gives it
+};
+
+// Moves the queries of a task into the frame of the wide leaf that they are in.
+inline void moveQueries(const SearchContext& context, const SearchTask& task, HaloScratch& scratch)
+{
+    const BlockView& queries = context.sets.queries;
+    const float* const from[3] = {queries.x, queries.y, queries.z};
+    const Simd::F scale = Simd::set(task.wide->scale);
+    for (int axis = 0; axis < 3; ++axis) {
+        const Simd::F shift = Simd::set(task.wide->shift[axis]);
+        float* to = scratch.movedQueries(axis);
+        for (std::size_t i = task.firstSlot; i < task.endSlot; i += Simd::kLanes, to += Simd::kLanes)
+            Simd::store(to, Simd::mulAdd(Simd::load(from[axis] + i), scale, shift));
+    }
+}
+
+// Calls f(WideQueries) for the queries of each cell of the task, or for all at once where one wide cell holds them.
+template <typename F>
+inline void forEachWideCell(const SearchContext& context, const SearchTask& task, const HaloScratch& halo,
+                            F&& f)
+{
+    const WidePlace& wide = *task.wide;
+    const int reach = context.block.reach, side = 8 + 2 * reach;
+    const auto lowestOf = [&](int x, int y, int z) {
+        return halo.start + ((wide.wideCell(0, x) + reach) * side + wide.wideCell(1, y) + reach) * side +
+               wide.wideCell(2, z);
+    };
+    if (wide.bits == 3 && !task.cells)
+        return f(WideQueries{task.firstSlot, task.endSlot - task.firstSlot, lowestOf(0, 0, 0)});
+    const LeafRecord& leaf = context.sets.queries.leaves[task.leaf];
+    const std::uint32_t* cellStart = context.sets.queries.cellStart + leaf.firstCell;
+    for (int x = 0; x < 8; ++x) {
+        for (std::uint64_t word = leaf.occupancy[x]; word; word &= word - 1, ++cellStart) {
+            const int bit = __builtin_ctzll(word);
+            const SlotRange slots(task, cellStart[0], cellStart[1]);
+            if ((task.cells && !(task.cells[x] >> bit & 1)) || slots.empty()) continue;
+            f(WideQueries{slots.begin, slots.count(), lowestOf(x, bit >> 3, bit & 7)});
+        }
+    }
+}
+
+// All queries of the task against candidates in wider cells.
+template <typename Search>
+void searchWide(const Search& search)
+{
+    const SearchContext& context = search.context;
+    const SearchTask& task = search.task;
+    HaloScratch& scratch = search.scratch;
+    const int reach = context.block.reach;
+    CellBox box;
+    for (int axis = 0; axis < 3; ++axis) {
+        box.low[axis] = task.wide->wideCell(axis, 0) - reach;
+        box.high[axis] = task.wide->wideCell(axis, 7) + reach;
+    }
+    Pace pace(context);
+    pace.copied(fillHaloBox<true>(context.block, search.leaves, box, scratch, search.candidateFar()));
+    moveQueries(context, task, scratch);
+    if constexpr (Search::Consumer::kByCandidate) {
+        std::size_t words = 0;
+        forEachWideCell(context, task, scratch, [&](const WideQueries& part) {
+            words += std::size_t(part.count) * rowWordsOf(candidatesOf(reach, part.lowest));
         });
+        search.consumer.reserve(words);
+    }
+    forEachWideCell(context, task, scratch, [&](const WideQueries& part) {
+        const std::uint32_t first = part.slot - task.firstSlot;
+        const QueryPositions positions{scratch.movedQueries(0) + first, scratch.movedQueries(1) + first,
+                                       scratch.movedQueries(2) + first};
+        CellSearch cell{};
+        cell.queries = part.count;
+        searchNear(search, pace, context.bounds.reachable, positions, part.lowest, cell, part.slot);
+    });
 }
 
 // Whether so few cells of a leaf have queries that each is searched by itself.
@@ -175,12 +261,16 @@ void searchSets(const SearchContext& context, const SearchTask& task, const Exac
 {
     LeafCells leaves[kLeavesAround];
     const std::size_t candidates = readLeaves(context.block, task.neighborhood, leaves);
-    scratch.reserve(scratch, candidates);
+    const std::size_t queries = task.wide ? task.endSlot - task.firstSlot : 0;
+    scratch.reserve(scratch, candidates > queries ? candidates : queries);
     RowTest test{context.bounds, exact, statistics};
     Consumer consumer =
         makeConsumer(context, exact, scratch, sink, statistics, static_cast<Consumer*>(nullptr));
     const SetSearch<Consumer, Rule> search{context, task, leaves, test, scratch, consumer};
     const auto run = [&] {
+        if constexpr (Rule::kOfCandidates) {
+            if (task.wide) return searchWide(search);
+        }
         if (task.cells) return searchSetCells(search);
         if constexpr (!Consumer::kByCandidate) {
             if (searchSparseSets(search)) return;

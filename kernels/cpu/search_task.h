@@ -4,6 +4,7 @@
 
 #include "shared/block_view.h"
 #include "shared/membership.h"
+#include "shared/wide_place.h"
 
 #include <cstddef>
 #include <cstdint>
@@ -19,9 +20,10 @@ struct CancelPoll {
 // Of a search whose queries are not its candidates, or whose particles have radii of their own, or whose rows are cut to the
 // nearest: what search_sets-inl.h needs besides.
 struct SetContext {
-    BlockView queries{}; // on the lattice of the candidates
+    BlockView queries{}; // on the lattice of the candidates, or on one of narrower cells: SearchTask::wide
     const float* queryFar =
-        nullptr; // by slot of the queries: FilterBounds::far of its radius; null: that of `bounds`
+        nullptr; // by slot of the queries: farOf() its radius; null: all have `farOfQueries`
+    float farOfQueries = 0;
     const float* candidateFar = nullptr; // by slot of the candidates; only for the larger radius of a pair
     bool excludesSelf = true;            // a query is no neighbor of the candidate with its number
     bool addsSelf = false;               // a query that is a candidate stands in its row, beside the nearest
@@ -42,6 +44,9 @@ struct SearchTask {
     const std::uint32_t* neighborhood; // kLeavesAround leaf indices of the candidates, see LeafNeighborhood
     const std::uint64_t* cells =
         nullptr; // 8 words: only queries in these cells; null for all. One alone for masks
+    // Where the candidates' cells are wider than those of the queries: the leaf among them. `neighborhood` is then around the leaf
+    // that it is in. Only for kernels of the larger radius.
+    const WidePlace* wide = nullptr;
 };
 
 // Decides the pairs in the filter's band, and which of two candidates is nearer to a query, or has the smaller number where both
@@ -73,13 +78,14 @@ struct RowSink {
 // and the candidates that one cell's queries keep, about the centre of their ball. In units of `stride` bytes from `base`:
 //   kept x 0, y 1, z 2, squared length 4, number 8, far 12      halo x 5, y 6, z 7, number 9, far 13
 //   bits or a row 3      rows 10, 11      of rows that are cut: numbers 3, 14, scores 15, 16, sorted 11, scratch 17, 18
+//   queries among wider cells: x 19, y 20, z 21
 struct HaloScratch {
     static constexpr int kMaxSide = 8 + 2 * 3;
     std::uint32_t
         start[kMaxSide * kMaxSide * kMaxSide + 1]; // first particle of each cell of the cube; the end
     char* base;
     std::size_t stride;
-    std::size_t capacity; // particles
+    std::size_t capacity; // particles: candidates of a leaf, or queries among wider cells
     void* owner;
     void (*reserve)(HaloScratch& scratch, std::size_t particles);
 
@@ -106,7 +112,11 @@ struct HaloScratch {
     {
         return reinterpret_cast<std::uint64_t*>(base + 3 * stride + stride / 2 / 64 * 64);
     }
-    static constexpr std::size_t kStrides = 19;
+    float* movedQueries(int axis) const
+    {
+        return reinterpret_cast<float*>(base + (19 + static_cast<std::size_t>(axis)) * stride);
+    }
+    static constexpr std::size_t kStrides = 22;
 
 private:
     std::uint32_t* integersAt(std::size_t strides) const

@@ -23,27 +23,41 @@ struct LargerRadius {
     static constexpr bool kOfCandidates = true;
 };
 
+// Coordinates of a run of queries.
+struct QueryPositions {
+    const float *x, *y, *z;
+};
+
 // The queries of a run of slots, about the centre `center` in the frame of their leaf.
 struct SetQueries {
-    const float *x, *y, *z, *far; // far: null if all have that of the bounds
+    const float *x, *y, *z, *far; // far: null if all have that of the context
+    float farOfAll;
     const std::uint32_t* number;
     float center[3];
     bool excludesSelf;
 
-    SetQueries(const SetContext& sets, std::uint32_t slot, float centerX, float centerY, float centerZ)
-        : x(sets.queries.x + slot),
-          y(sets.queries.y + slot),
-          z(sets.queries.z + slot),
+    SetQueries(const SetContext& sets, std::uint32_t slot, const QueryPositions& positions,
+               const float (&theirCenter)[3])
+        : x(positions.x),
+          y(positions.y),
+          z(positions.z),
           far(sets.queryFar ? sets.queryFar + slot : nullptr),
+          farOfAll(sets.farOfQueries),
           number(sets.queries.number + slot),
-          center{centerX, centerY, centerZ},
+          center{theirCenter[0], theirCenter[1], theirCenter[2]},
           excludesSelf(sets.excludesSelf)
     {
     }
 
     std::uint32_t ownNumber(std::uint32_t i) const { return excludesSelf ? number[i] : kNobodysNumber; }
-    float farOf(const FilterBounds& bounds, std::uint32_t i) const { return far ? far[i] : bounds.far; }
+    float farOf(std::uint32_t i) const { return far ? far[i] : farOfAll; }
 };
+
+// Where the grid of the queries has them.
+inline QueryPositions positionsOf(const BlockView& queries, std::uint32_t slot)
+{
+    return {queries.x + slot, queries.y + slot, queries.z + slot};
+}
 
 // What the filter makes of a vector of candidates: negative for neighbors, and what orders them by their distance.
 struct SetScores {
@@ -73,7 +87,7 @@ struct KeptSetFrame {
         Simd::I number;
 
         Query(const FilterBounds& bounds, const KeptSetFrame& frame, std::uint32_t i)
-            : far(Simd::set(frame.queries.farOf(bounds, i))),
+            : far(Simd::set(frame.queries.farOf(i))),
               most(Simd::set(bounds.far)),
               number(Simd::set(static_cast<std::int32_t>(frame.queries.ownNumber(i))))
         {
@@ -126,7 +140,7 @@ struct HaloSetFrame {
             : x(Simd::set(frame.queries.x[i])),
               y(Simd::set(frame.queries.y[i])),
               z(Simd::set(frame.queries.z[i])),
-              far(Simd::set(frame.queries.farOf(bounds, i))),
+              far(Simd::set(frame.queries.farOf(i))),
               most(Simd::set(bounds.far)),
               number(Simd::set(static_cast<std::int32_t>(frame.queries.ownNumber(i))))
         {

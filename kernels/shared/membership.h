@@ -48,6 +48,12 @@
 // 6. Which is nearer. A score is D - far with an error below beta, and D is within 2 rho delta + delta^2, which beta covers
 //    too, of the square of the true distance. With one far, scores that are more than 2 beta apart are ordered as the
 //    distances are.
+//
+// 7. Cells of several widths. Edges that are a power of two apart, counted from one corner: a true cell coordinate in the wide
+//    lattice is that in the narrow one divided by 2^s, and a query is in the wide cell that holds its narrow one (WidePlace). Its
+//    coordinate about the wide leaf's centre, fl(x 2^-s + shift), has the error E 2^-s + 2^-23 2^-s of x, 2^-23 of the sum, and
+//    2^-23 where shift itself is rounded, past s = 24. As no query is moved into another leaf's frame, the 2^-22 of that covers
+//    what is added, and eta is as in step 1, with E the larger of the candidates' and of the queries' divided by 2^s.
 #pragma once
 
 #include "shared/annotation.h"

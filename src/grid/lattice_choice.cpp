@@ -35,12 +35,14 @@ struct Extent {
     double mostCells[3] = {0, 0, 0};
 };
 
+} // namespace
+
 LatticeFit fitOf(const ParticleSource& source, const Lattice& lattice, SimdLevel simd,
-                 const CancelCheck& cancel)
+                 const CancelCheck& cancel, const ParticleSource* home)
 {
     if (lattice.usesVoxels) return {particlesAreInVoxels(source, cancel), 0};
     constexpr std::size_t kBatch = CellMap::kBatch;
-    const CellMap map(source, lattice, simd);
+    const CellMap map(source, lattice, simd, home);
     const Extent extent = tbb::parallel_reduce(
         tbb::blocked_range<std::size_t>(0, source.size(), 64 * kBatch), Extent(),
         [&](const tbb::blocked_range<std::size_t>& range, Extent sum) {
@@ -72,8 +74,6 @@ LatticeFit fitOf(const ParticleSource& source, const Lattice& lattice, SimdLevel
     const double error = map.errorCells(extent.mostCells);
     return {error <= kMaxErrorCells, error};
 }
-
-} // namespace
 
 void offerLattices(const ParticleSource& source, double radius, const SearchOptions& options,
                    const ParticleSource& placed, bool mayUseVoxels, const Offer& offer)

@@ -30,6 +30,11 @@ void offerLattices(const ParticleSource& source, double radius, const SearchOpti
 // offerLattices().
 Lattice findLattice(const ParticleSource& source, double radius, const SearchOptions& options);
 
+// Whether a lattice fits the particles of a source; `home`: in whose stored coordinates it is, null for the source's own. A pass over
+// the particles. Throws Cancelled.
+LatticeFit fitOf(const ParticleSource& source, const Lattice& lattice, SimdLevel simd,
+                 const CancelCheck& cancel, const ParticleSource* home = nullptr);
+
 // The size of cells, in radii, that a search of these particles is fastest with; above 1 only where it may
 // be. The same for any number of threads and any instruction set. Throws Cancelled.
 // Cost: a look at a thousand particles, or a thousandth of them; and where they are not dense a pass over

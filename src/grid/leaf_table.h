@@ -10,6 +10,14 @@
 
 namespace vdb_nns {
 
+inline std::uint64_t hashOfLeaf(std::int32_t x, std::int32_t y, std::int32_t z)
+{
+    // Odd multipliers from the golden ratio and its powers; the high bits of the sum are well mixed.
+    return static_cast<std::uint64_t>(x) * 0x9E3779B97F4A7C15u +
+           static_cast<std::uint64_t>(y) * 0xC2B2AE3D27D4EB4Fu +
+           static_cast<std::uint64_t>(z) * 0x165667B19E3779F9u;
+}
+
 class LeafTable {
 public:
     // The number in this table of the leaf at (x, y, z), in units of leaves.
@@ -48,18 +56,10 @@ private:
         std::uint32_t number = kFree;
     };
 
-    static std::uint64_t hash(std::int32_t x, std::int32_t y, std::int32_t z)
-    {
-        // Odd multipliers from the golden ratio and its powers; the high bits of the sum are well mixed.
-        return static_cast<std::uint64_t>(x) * 0x9E3779B97F4A7C15u +
-               static_cast<std::uint64_t>(y) * 0xC2B2AE3D27D4EB4Fu +
-               static_cast<std::uint64_t>(z) * 0x165667B19E3779F9u;
-    }
-
     Entry& place(std::int32_t x, std::int32_t y, std::int32_t z)
     {
         const std::size_t mask = mTable.size() - 1;
-        for (std::size_t h = hash(x, y, z) >> 32 & mask;; h = (h + 1) & mask) {
+        for (std::size_t h = hashOfLeaf(x, y, z) >> 32 & mask;; h = (h + 1) & mask) {
             Entry& e = mTable[h];
             if (e.number == kFree || (e.x == x && e.y == y && e.z == z)) return e;
         }
@@ -77,6 +77,50 @@ private:
     std::vector<Entry> mTable; // open addressing, a power of two
     std::vector<Vec3i> mLeaves;
     std::vector<std::uint32_t> mCounts;
+};
+
+// Says of most leaves that touch no leaf of a grid that they do not, without a table: of a hash of the 4^3 leaves that a leaf is
+// in a bit is set if one of those may touch.
+class TouchFilter {
+public:
+    // `origins`: of the grid's leaves, in cells.
+    explicit TouchFilter(const std::vector<Vec3i>& origins)
+    {
+        std::size_t words = 64;
+        while (words * 64 < 32 * origins.size() && words < kMostWords) words *= 2;
+        mBits.resize(words);
+        for (const Vec3i& origin : origins) {
+            std::int32_t low[3], high[3];
+            for (int k = 0; k < 3; ++k) {
+                low[k] = ((origin[k] >> 3) - 1) >> 2;
+                high[k] = ((origin[k] >> 3) + 1) >> 2;
+            }
+            for (std::int32_t x = low[0]; x <= high[0]; ++x) {
+                for (std::int32_t y = low[1]; y <= high[1]; ++y) {
+                    for (std::int32_t z = low[2]; z <= high[2]; ++z) {
+                        const std::uint64_t bit = bitOf(x, y, z);
+                        mBits[bit / 64] |= std::uint64_t(1) << bit % 64;
+                    }
+                }
+            }
+        }
+    }
+
+    bool mayTouch(std::int32_t x, std::int32_t y, std::int32_t z) const
+    {
+        const std::uint64_t bit = bitOf(x >> 2, y >> 2, z >> 2);
+        return mBits[bit / 64] >> bit % 64 & 1;
+    }
+
+private:
+    static constexpr std::size_t kMostWords = std::size_t(1) << 21; // 16 MiB
+
+    std::uint64_t bitOf(std::int32_t x, std::int32_t y, std::int32_t z) const
+    {
+        return hashOfLeaf(x, y, z) >> 32 & (mBits.size() * 64 - 1);
+    }
+
+    std::vector<std::uint64_t> mBits;
 };
 
 // Orders leaves by 4096^3 node, then in Morton order inside it (512^3 leaves, 9 bits an axis).

@@ -11,6 +11,7 @@
 #include <atomic>
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <string>
 #include <utility>
 
@@ -58,8 +59,9 @@ std::size_t countChosen(const std::uint8_t* chosen, std::size_t count)
     return sum;
 }
 
-void locateChunk(const GridMembers& members, const CellMap& map, Chunk& chunk, std::uint32_t* leafOf,
-                 const CancelCheck& cancel)
+// `filter`: leaves that it turns down are left out; null: none is.
+void locateChunk(const GridMembers& members, const CellMap& map, const TouchFilter* filter, Chunk& chunk,
+                 std::uint32_t* leafOf, const CancelCheck& cancel)
 {
     const ParticleSource& source = members.view.source();
     double stored[3][kBatch];
@@ -85,7 +87,7 @@ void locateChunk(const GridMembers& members, const CellMap& map, Chunk& chunk, s
         for (std::size_t i = 0; i < n;) {
             // Neighbors in the input are often neighbors in space: a run in one leaf costs one look-up.
             const std::int32_t x = at.leaf[0][i], y = at.leaf[1][i], z = at.leaf[2][i];
-            if (!valid(i)) {
+            if (!valid(i) || (filter && !filter->mayTouch(x, y, z))) {
                 leafOf[begin + i++] = kNoLeaf;
                 continue;
             }
@@ -120,11 +122,13 @@ Placement placeParticles(const GridMembers& members, const CellMap& map, const S
         options.hostMemoryBytes ? options.hostMemoryBytes : std::numeric_limits<std::uint64_t>::max();
     Placement placement;
     std::vector<Chunk>& chunks = placement.chunks = makeChunks(source.size());
+    std::optional<TouchFilter> filter;
+    if (members.around) filter.emplace(members.around->leafOrigins);
     // Of the leaves that all chunks find. Particles in no order have each leaf in every chunk.
     std::atomic<std::uint64_t> bytes{0};
     tbb::parallel_for(std::size_t(0), chunks.size(), [&](std::size_t c) {
         LeafTable& leaves = chunks[c].leaves;
-        locateChunk(members, map, chunks[c], leafOf, cancel);
+        locateChunk(members, map, filter ? &*filter : nullptr, chunks[c], leafOf, cancel);
         leaves.finish();
         const std::uint64_t sum = bytes += leaves.bytes();
         if (sum > most) throw gridDoesNotFit(source.size(), leaves.size(), sum, most);

@@ -3,34 +3,19 @@
 #include "grid/cell_map.h"
 #include "grid/lattice.h"
 #include "grid/lattice_choice.h"
+#include "grid/nested_sets.h"
 #include "util/known_value.h"
 #include "vdb_nns/error.h"
 
-#include <tbb/blocked_range.h>
-#include <tbb/parallel_for.h>
-#include <tbb/parallel_reduce.h>
-
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <limits>
+#include <set>
 #include <string>
+#include <utility>
 
 namespace vdb_nns {
 
 namespace {
-
-constexpr std::size_t kGrain = 16384;
-// The smallest radii are one part, however much they differ.
-constexpr std::size_t kMostClasses = 40;
-// A part costs a pass over all candidates: where fewer queries than this, or than this share, have smaller radii than those of a
-// part, they are searched with them.
-constexpr double kSmallestPart = 256, kSmallestShare = 1.0 / 1024;
-
-bool reaches(double radius)
-{
-    return radius > 0 && std::isfinite(radius);
-}
 
 void requireSize(const char* what, std::size_t size, const ParticleView& view)
 {
@@ -54,119 +39,6 @@ void checkSets(const ParticleSet& candidates, const ParticleSet& queries, const 
     if (needsCandidates && radius.ofCandidates.empty())
         throw InvalidInput(
             "the radii of the candidates decide, and there are none: give one for each candidate");
-}
-
-// Of some particles, by halvings of the largest radius of all.
-struct RadiusCensus {
-    double largest = 0;
-    std::array<std::uint64_t, 2100> octaves{}; // by exponent of the radius, from -1074 up
-
-    static std::size_t octaveOf(double radius) { return static_cast<std::size_t>(std::ilogb(radius) + 1074); }
-
-    void add(const RadiusCensus& other)
-    {
-        largest = std::max(largest, other.largest);
-        for (std::size_t k = 0; k < octaves.size(); ++k) octaves[k] += other.octaves[k];
-    }
-};
-
-RadiusCensus censusOf(Span<const double> radii, Span<const std::uint8_t> chosen)
-{
-    return tbb::parallel_reduce(
-        tbb::blocked_range<std::size_t>(0, radii.size(), kGrain), RadiusCensus(),
-        [&](const auto& range, RadiusCensus sum) {
-            for (std::size_t i = range.begin(); i < range.end(); ++i) {
-                if (!reaches(radii[i]) || (!chosen.empty() && !chosen[i])) continue;
-                sum.largest = std::max(sum.largest, radii[i]);
-                ++sum.octaves[RadiusCensus::octaveOf(radii[i])];
-            }
-            return sum;
-        },
-        [](RadiusCensus a, const RadiusCensus& b) {
-            a.add(b);
-            return a;
-        });
-}
-
-// Radii above `above` up to `upTo` are searched together.
-struct RadiusClass {
-    double above, upTo;
-};
-
-// From the largest down, a factor of two each.
-std::vector<RadiusClass> classesOf(const RadiusCensus& census)
-{
-    std::uint64_t all = 0;
-    for (const std::uint64_t count : census.octaves) all += count;
-    const double least = std::max(kSmallestPart, kSmallestShare * static_cast<double>(all));
-    std::vector<RadiusClass> classes;
-    double upTo = census.largest;
-    for (std::uint64_t left = all; left > 0;) {
-        const int octave = std::ilogb(upTo);
-        const std::uint64_t count = census.octaves[RadiusCensus::octaveOf(upTo)];
-        left -= count;
-        const double above = std::nextafter(std::ldexp(1.0, octave), 0.0);
-        if (static_cast<double>(left) < least || classes.size() == kMostClasses) {
-            if (count == 0 && left > 0 && !classes.empty()) {
-                classes.back().above = 0;
-            } else {
-                classes.push_back({0, upTo});
-            }
-            break;
-        }
-        if (count > 0) classes.push_back({above, upTo});
-        upTo = above;
-    }
-    return classes;
-}
-
-// 1 for the chosen particles whose radius is in the class.
-std::vector<std::uint8_t> membersOf(const RadiusClass& c, Span<const double> radii,
-                                    Span<const std::uint8_t> chosen, bool alsoUnreaching, double& largest)
-{
-    std::vector<std::uint8_t> members(radii.size());
-    largest = tbb::parallel_reduce(
-        tbb::blocked_range<std::size_t>(0, radii.size(), kGrain), 0.0,
-        [&](const auto& range, double most) {
-            for (std::size_t i = range.begin(); i < range.end(); ++i) {
-                const double r = radii[i];
-                const bool isIn = reaches(r) ? r > c.above && r <= c.upTo : alsoUnreaching;
-                members[i] = isIn && (chosen.empty() || chosen[i]);
-                if (members[i] && reaches(r)) most = std::max(most, r);
-            }
-            return most;
-        },
-        [](double a, double b) { return std::max(a, b); });
-    return members;
-}
-
-std::shared_ptr<const PageArray<float>> farOfSlots(const SparseGridData& grid, Span<const double> radii,
-                                                   const FilterError& error)
-{
-    const auto result = std::make_shared<PageArray<float>>();
-    PageArray<float>& far = *result;
-    far.resizeDiscarding(grid.particleCount());
-    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, grid.particleCount(), kGrain),
-                      [&](const auto& range) {
-                          for (std::size_t slot = range.begin(); slot < range.end(); ++slot) {
-                              const double r = radii[grid.number[slot]];
-                              far[slot] = farOf(reaches(r) ? radiusInCells(grid.lattice, r) : -1, error);
-                          }
-                      });
-    return result;
-}
-
-// `sums`: as filterError() takes them.
-FilterError setBounds(SearchPart& part, double largestRadius, int sums)
-{
-    const Lattice& lattice = part.queries->lattice;
-    const double error = std::max(part.queries->coordinateError, part.candidates->coordinateError);
-    const double radiusCells = radiusInCells(lattice, largestRadius);
-    const FilterError filter = filterError(radiusCells, lattice.reach, error, sums);
-    part.bounds = makeFilterBounds(radiusCells, lattice.reach, error, sums);
-    // Twice the error, and what rounding adds to the difference of two scores of at most the square of the radius.
-    part.nearestDoubt = static_cast<float>(2.1 * filter.beta + 0x1p-22 * (radiusCells * radiusCells + 1));
-    return filter;
 }
 
 class Sorter {
@@ -196,14 +68,14 @@ public:
         // Many passes would take longer to look at the density than cells of the radius lose.
         if (!isOnlyPart && options.cellSize == 0) options.cellSize = 1;
         part.queries = sorted(queries, largest, options, 0);
-        part.candidates = part.queries;
+        std::shared_ptr<const SparseGridData> grid = part.queries;
         if (!haveBoth) {
             GridMembers candidates(mCandidates.view);
             candidates.chosen = mCandidates.chosen;
             candidates.around = part.queries.get();
-            part.candidates = sorted(candidates, part.queries->lattice, options, part.queries->bytes());
+            grid = sorted(candidates, part.queries->lattice, options, part.queries->bytes());
         }
-        finish(part, largest);
+        finish(part, std::move(grid), largest);
     }
 
 private:
@@ -218,28 +90,28 @@ private:
         return grid;
     }
 
-    void finish(SearchPart& part, double largest)
+    void finish(SearchPart& part, std::shared_ptr<const SparseGridData> candidates, double largest)
     {
         const bool isOne = mRadius.isOne();
         const bool ofCandidates = !isOne && mRadius.mode != RadiusMode::kGather;
-        const int sums = ofCandidates ? 5 : 4;
-        const FilterError filter = setBounds(part, largest, sums);
+        const double error = std::max(part.queries->coordinateError, candidates->coordinateError);
+        const RadiusBounds radius(part.queries->lattice, largest, error, ofCandidates ? 5 : 4);
+        part.own = SearchLayer(std::move(candidates), radius);
         if (!isOne) {
             if (mRadius.mode == RadiusMode::kScatter) {
-                const auto far = std::make_shared<PageArray<float>>();
-                far->resizeDiscarding(part.queries->particleCount());
-                std::fill(far->begin(), far->end(), farOf(-1, filter));
-                part.queryFar = far;
+                part.own.farOfQueries = farOf(-1, radius.error);
             } else {
-                part.queryFar = farOfSlots(*part.queries, mRadius.ofQueries, filter);
+                part.queryFar = farOfSlots(*part.queries, mRadius.ofQueries, radius.error);
             }
-            if (ofCandidates) part.candidateFar = farOfSlots(*part.candidates, mRadius.ofCandidates, filter);
+            if (ofCandidates)
+                part.own.candidateFar = farOfSlots(*part.own.candidates, mRadius.ofCandidates, radius.error);
         }
         part.firstRow = static_cast<std::uint32_t>(mSets.rowCount());
         mSets.finiteQueries += part.queries->finiteCount;
         mSets.nonfiniteQueries += part.queries->nonfiniteCount;
-        mSets.nonfiniteCandidates = std::max(mSets.nonfiniteCandidates, part.candidates->nonfiniteCount);
+        mSets.nonfiniteCandidates = std::max(mSets.nonfiniteCandidates, part.own.candidates->nonfiniteCount);
         mSets.parts.push_back(std::move(part));
+        mSets.lattices = mSets.parts.size();
     }
 
     const ParticleSet &mCandidates, &mQueries;
@@ -258,11 +130,24 @@ std::uint64_t SearchSetsData::rowCount() const
 
 std::uint64_t SearchSetsData::gridBytes() const
 {
+    // Parts share grids.
+    std::set<const void*> counted;
     std::uint64_t bytes = 0;
+    const auto addGrid = [&](const std::shared_ptr<const SparseGridData>& grid) {
+        if (counted.insert(grid.get()).second) bytes += grid->bytes();
+    };
+    const auto addFar = [&](const std::shared_ptr<const PageArray<float>>& far) {
+        if (far && counted.insert(far.get()).second) bytes += far->usedBytes();
+    };
     for (const SearchPart& part : parts) {
-        bytes += part.queries->bytes();
-        for (const auto& far : {part.queryFar, part.candidateFar}) bytes += far ? far->usedBytes() : 0;
-        if (part.candidates != part.queries) bytes += part.candidates->bytes();
+        addGrid(part.queries);
+        addFar(part.queryFar);
+        addGrid(part.own.candidates);
+        addFar(part.own.candidateFar);
+        for (const SearchLayer& layer : part.wider) {
+            addGrid(layer.candidates);
+            addFar(layer.candidateFar);
+        }
     }
     return bytes;
 }
@@ -275,7 +160,13 @@ SearchSets setsWithin(const SearchSets& given, double radius)
                            "of the options out");
     }
     const auto sets = std::make_shared<SearchSetsData>(given.data());
-    for (SearchPart& part : sets->parts) setBounds(part, searchRadius(part.queries->lattice, radius), 4);
+    for (SearchPart& part : sets->parts) {
+        const SparseGridData& queries = *part.queries;
+        const double error = std::max(queries.coordinateError, part.own.candidates->coordinateError);
+        part.own =
+            SearchLayer(part.own.candidates,
+                        RadiusBounds(queries.lattice, searchRadius(queries.lattice, radius), error, 4));
+    }
     sets->radius.value = sets->largestRadius = radius;
     return SearchSets(sets);
 }
@@ -285,11 +176,11 @@ SearchSets::SearchSets(const SparseGrid& sparseGrid, double radius)
     const std::shared_ptr<const SparseGridData>& grid = sparseGrid.sharedData();
     const auto sets = std::make_shared<SearchSetsData>();
     sets->queries = sets->candidates = grid->view;
-    SearchPart part;
-    part.queries = part.candidates = grid;
     if (grid->particleCount() > 0 || radius != 0) radius = searchRadius(grid->lattice, radius);
     sets->radius = sets->largestRadius = radius;
-    setBounds(part, radius, 4);
+    SearchPart part;
+    part.queries = grid;
+    part.own = SearchLayer(grid, RadiusBounds(grid->lattice, radius, grid->coordinateError, 4));
     sets->finiteQueries = grid->finiteCount;
     sets->nonfiniteQueries = sets->nonfiniteCandidates = grid->nonfiniteCount;
     sets->parts.push_back(std::move(part));
@@ -326,7 +217,7 @@ int SearchSets::reach() const
 }
 std::uint64_t SearchSets::latticeCount() const
 {
-    return mData->parts.size();
+    return mData->lattices;
 }
 std::uint64_t SearchSets::finiteQueries() const
 {
@@ -388,23 +279,30 @@ SearchSetsData sortSets(const ParticleSet& candidates, const ParticleSet& querie
         sorter.addPart(queries.chosen, radius.value, true);
         return sets;
     }
-    RadiusCensus census;
-    if (radius.mode != RadiusMode::kScatter) census.add(censusOf(radius.ofQueries, queries.chosen));
-    if (radius.mode != RadiusMode::kGather) census.add(censusOf(radius.ofCandidates, candidates.chosen));
-    sets.largestRadius = census.largest;
-    const double some = census.largest > 0 ? census.largest : smallRadius(queries.view.source());
-    const std::vector<RadiusClass> classes =
-        radius.mode == RadiusMode::kGather ? classesOf(census) : std::vector<RadiusClass>();
-    if (classes.size() <= 1) {
-        sorter.addPart(queries.chosen, some, true);
+    const bool ofQueries = radius.mode != RadiusMode::kScatter,
+               ofCandidates = radius.mode != RadiusMode::kGather;
+    double largest = 0;
+    if (ofQueries) largest = largestRadius(radius.ofQueries, queries.chosen);
+    if (ofCandidates) largest = std::max(largest, largestRadius(radius.ofCandidates, candidates.chosen));
+    sets.largestRadius = largest;
+    std::vector<RadiusClass> classes;
+    if (largest > 0) {
+        RadiusCensus census(largest);
+        if (ofQueries) census.add(radius.ofQueries, queries.chosen);
+        if (ofCandidates) census.add(radius.ofCandidates, candidates.chosen);
+        classes = census.classes();
+    }
+    if (classes.size() > 1 && ofCandidates &&
+        sortOnNestedLattices(candidates, queries, classes, options, scratch, sets))
+        return sets;
+    if (classes.size() <= 1 || ofCandidates) {
+        sorter.addPart(queries.chosen, largest > 0 ? largest : smallRadius(queries.view.source()), true);
         return sets;
     }
-    for (std::size_t k = 0; k < classes.size(); ++k) {
-        double largest = 0;
-        const bool isLast = k + 1 == classes.size();
-        const std::vector<std::uint8_t> members =
-            membersOf(classes[k], radius.ofQueries, queries.chosen, isLast, largest);
-        sorter.addPart({members.data(), members.size()}, largest > 0 ? largest : classes[k].upTo, false);
+    for (const RadiusClass& c : classes) {
+        const bool isLast = &c == &classes.back();
+        const ClassMembers members = membersOf(c, largest, radius.ofQueries, queries.chosen, isLast);
+        sorter.addPart({members.chosen.data(), members.chosen.size()}, members.largest, false);
     }
     return sets;
 }

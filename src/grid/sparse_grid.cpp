@@ -164,6 +164,12 @@ double coordinateErrorOf(const CellMap& map, const std::vector<Vec3i>& leafOrigi
 
 } // namespace
 
+InputError nonfiniteParticles(std::uint64_t count, std::uint64_t particles)
+{
+    return InputError(std::to_string(count) + " of " + std::to_string(particles) +
+                      " particles have a position that is NaN or infinite: repair them or skip them");
+}
+
 void checkGridCapacity(const SparseGridData& grid, const GridNeed& need, std::uint64_t hostMemoryBytes)
 {
     const std::size_t leaves = grid.leafCount();
@@ -188,10 +194,8 @@ LatticeFit sortIntoCells(const GridMembers& members, const Lattice& lattice, con
     scratch.leafOf.resizeDiscarding(source.size());
     Placement placed = placeParticles(members, map, options, scratch.leafOf.data(), cancel);
     if (placed.outOfRange && !members.around) return {};
-    if (placed.nonfinite > 0 && options.nonfinite == NonFinite::kFail) {
-        throw InputError(std::to_string(placed.nonfinite) + " of " + std::to_string(placed.members) +
-                         " particles have a position that is NaN or infinite: repair them or skip them");
-    }
+    if (placed.nonfinite > 0 && options.nonfinite == NonFinite::kFail)
+        throw nonfiniteParticles(placed.nonfinite, placed.members);
     cancel.update(0.3);
     std::vector<Chunk>& chunks = placed.chunks;
     mergeLeaves(chunks, members.around, grid);

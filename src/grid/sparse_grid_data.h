@@ -5,6 +5,7 @@
 #include "grid/topology.h"
 #include "shared/block_view.h"
 #include "util/memory.h"
+#include "vdb_nns/error.h"
 #include "vdb_nns/lattice.h"
 #include "vdb_nns/particle_view.h"
 #include "vdb_nns/sparse_grid.h"
@@ -65,6 +66,9 @@ struct GridNeed {
     std::uint64_t sortBytes = 0, heldBytes = 0;
 };
 void checkGridCapacity(const SparseGridData& grid, const GridNeed& need, std::uint64_t hostMemoryBytes);
+
+// What NonFinite::kFail says of so many of some particles.
+InputError nonfiniteParticles(std::uint64_t count, std::uint64_t particles);
 
 // Which particles are sorted.
 struct GridMembers {

@@ -186,7 +186,7 @@ private:
     static SparseGrid gridOf(const SearchSets& sets)
     {
         const SearchSetsData& data = sets.data();
-        if (data.parts.size() != 1 || data.parts[0].queries != data.parts[0].candidates ||
+        if (data.parts.size() != 1 || data.parts[0].queries != data.parts[0].own.candidates ||
             !data.radius.isOne()) {
             throw InvalidInput(
                 "devices search all particles within one radius: search other queries, groups and "

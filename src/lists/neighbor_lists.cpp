@@ -26,55 +26,19 @@ void requireLists(const NeighborListsData& lists)
     }
 }
 
-// Calls f(first slot, end slot, candidate runs) for each occupied cell of a leaf of the queries' grid; runs is a vector of slot
-// ranges of the candidates' grid.
-using Runs = std::vector<std::pair<std::uint32_t, std::uint32_t>>;
-
-template <typename F>
-void forEachCell(const SearchPart& part, const LeafNeighborhood& neighborhood, std::size_t leafIndex, F&& f)
+// Appends the numbers of the set bits of one row.
+void decodeRow(const CandidateRuns& candidates, const std::uint32_t* words, std::vector<std::uint32_t>& out)
 {
-    const SparseGridData& grid = *part.queries;
-    const BlockView block = blockViewOf(*part.candidates);
-    const LeafRecord& leaf = grid.leaves[leafIndex];
-    std::uint32_t cell = leaf.firstCell;
-    Runs runs;
-    for (int x = 0; x < 8; ++x) {
-        for (std::uint64_t word = leaf.occupancy[x]; word; word &= word - 1, ++cell) {
-            const int bit = __builtin_ctzll(word);
-            runs.clear();
-            forEachCandidateRun(block, neighborhood, x, bit >> 3, bit & 7,
-                                [&](std::uint32_t begin, std::uint32_t end) {
-                                    runs.push_back({begin, end});
-                                });
-            f(grid.cellStart[cell], grid.cellStart[cell + 1], runs);
-        }
-    }
-}
-
-std::uint32_t wordsOf(const Runs& runs)
-{
-    std::uint64_t candidates = 0;
-    for (const auto& run : runs) candidates += run.second - run.first;
-    return static_cast<std::uint32_t>((candidates + 31) / 32);
-}
-
-// Appends the numbers of the set bits of one row; `grid` is that of the candidates.
-void decodeRow(const SparseGridData& grid, const Runs& runs, const std::uint32_t* words,
-               std::vector<std::uint32_t>& out)
-{
-    std::uint64_t bit = 0; // of the row, at the start of the run
-    for (const auto& run : runs) {
-        const std::uint64_t end = bit + (run.second - run.first);
-        for (std::uint64_t at = bit; at < end;) {
+    for (const CandidateRuns::Run& run : candidates.runs) {
+        const std::uint64_t end = run.firstBit + run.count;
+        for (std::uint64_t at = run.firstBit; at < end;) {
             std::uint32_t word = words[at / 32] >> at % 32;
             const std::uint64_t next = std::min(end, (at / 32 + 1) * 32);
             if (next - at < 32) word &= (1u << (next - at)) - 1;
-            for (; word; word &= word - 1) {
-                out.push_back(grid.number[run.first + (at - bit) + __builtin_ctz(word)]);
-            }
+            for (; word; word &= word - 1)
+                out.push_back(run.numbers[(at - run.firstBit) + __builtin_ctz(word)]);
             at = next;
         }
-        bit = end;
     }
 }
 
@@ -85,33 +49,34 @@ const MaskRun& runOf(const std::vector<MaskRun>& runs, std::uint32_t slot)
                          [](std::uint32_t s, const MaskRun& run) { return s < run.firstSlot; }));
 }
 
-// Hands out each cell's rows, cut where a task of the search ended: f(first slot, end slot, runs, words of a row,
-// first row). Slots are those of the part.
+// Hands out each cell's rows, cut where a task of the search ended: f(first slot, end slot, candidates, first row). Slots are those
+// of the part.
 template <typename F>
 void forEachMaskCell(const NeighborListsData& lists, const SearchPart& part, std::size_t firstLeaf,
                      std::size_t endLeaf, F&& f)
 {
     const SparseGridData& grid = *part.queries;
     std::vector<LeafNeighborhood> neighborhoods(endLeaf - firstLeaf);
-    part.candidates->topology.neighborhoods({grid.leafOrigins.data() + firstLeaf, endLeaf - firstLeaf},
-                                            neighborhoods.data());
+    part.own.candidates->topology.neighborhoods({grid.leafOrigins.data() + firstLeaf, endLeaf - firstLeaf},
+                                                neighborhoods.data());
+    CellCandidates candidates(part);
     auto run = &runOf(lists.maskRuns, part.firstRow + grid.leaves[firstLeaf].firstSlot);
     const std::uint32_t* words = run->words;
     const MaskRun* const last = &lists.maskRuns.back();
     for (std::size_t l = firstLeaf; l < endLeaf; ++l) {
-        forEachCell(part, neighborhoods[l - firstLeaf], l,
-                    [&](std::uint32_t begin, std::uint32_t end, const Runs& runs) {
-                        const std::uint32_t rowWords = wordsOf(runs);
-                        while (begin < end) {
-                            const std::uint32_t row = part.firstRow + begin;
-                            while (run != last && run[1].firstSlot <= row) words = (++run)->words;
-                            const std::uint32_t stop =
-                                run == last ? end : std::min(end, run[1].firstSlot - part.firstRow);
-                            f(begin, stop, runs, rowWords, words);
-                            words += std::size_t(stop - begin) * rowWords;
-                            begin = stop;
-                        }
-                    });
+        candidates.beginLeaf(l, neighborhoods[l - firstLeaf]);
+        forEachOccupiedCell(blockViewOf(grid), static_cast<std::uint32_t>(l), [&](const QueryCell& cell) {
+            const CandidateRuns& runs = candidates.of(cell.x, cell.y, cell.z);
+            for (std::uint32_t begin = cell.begin; begin < cell.end;) {
+                const std::uint32_t row = part.firstRow + begin;
+                while (run != last && run[1].firstSlot <= row) words = (++run)->words;
+                const std::uint32_t stop =
+                    run == last ? cell.end : std::min(cell.end, run[1].firstSlot - part.firstRow);
+                f(begin, stop, runs, words);
+                words += std::size_t(stop - begin) * runs.words;
+                begin = stop;
+            }
+        });
     }
 }
 
@@ -125,7 +90,7 @@ void makeDirectory(const NeighborListsData& lists)
         if (part.queries->leafCount() == 0) continue;
         forEachMaskCell(
             lists, part, 0, part.queries->leafCount(),
-            [&](std::uint32_t begin, std::uint32_t, const Runs&, std::uint32_t, const std::uint32_t* words) {
+            [&](std::uint32_t begin, std::uint32_t, const CandidateRuns&, const std::uint32_t* words) {
                 directory.push_back({part.firstRow + begin, words});
             });
     }
@@ -147,7 +112,7 @@ void decodeSlot(const NeighborListsData& lists, std::uint32_t row, std::vector<s
     const std::uint32_t* const cellEnd = grid.cellStart.data() + next->firstCell;
     auto k = static_cast<std::uint32_t>(std::upper_bound(cells, cellEnd, slot) - cells - 1);
     LeafNeighborhood neighborhood;
-    part.candidates->topology.neighborhoods({&grid.leafOrigins[leafIndex], 1}, &neighborhood);
+    part.own.candidates->topology.neighborhoods({&grid.leafOrigins[leafIndex], 1}, &neighborhood);
     int x = 0;
     std::uint64_t word = leaf.occupancy[0];
     for (; k >= static_cast<std::uint32_t>(__builtin_popcountll(word)); word = leaf.occupancy[++x]) {
@@ -155,13 +120,11 @@ void decodeSlot(const NeighborListsData& lists, std::uint32_t row, std::vector<s
     }
     for (; k > 0; --k) word &= word - 1;
     const int bit = __builtin_ctzll(word);
-    Runs runs;
-    forEachCandidateRun(blockViewOf(*part.candidates), neighborhood, x, bit >> 3, bit & 7,
-                        [&](std::uint32_t begin, std::uint32_t end) {
-                            runs.push_back({begin, end});
-                        });
+    CellCandidates candidates(part);
+    candidates.beginLeaf(leafIndex, neighborhood);
+    const CandidateRuns& runs = candidates.of(x, bit >> 3, bit & 7);
     const MaskRun& run = runOf(lists.directory, row);
-    decodeRow(*part.candidates, runs, run.words + std::size_t(row - run.firstSlot) * wordsOf(runs), out);
+    decodeRow(runs, run.words + std::size_t(row - run.firstSlot) * runs.words, out);
 }
 
 void visitPart(const NeighborListsData& lists, const SearchPart& part, const CancelCheck& cancel,
@@ -186,11 +149,11 @@ void visitPart(const NeighborListsData& lists, const SearchPart& part, const Can
         }
         std::vector<std::uint32_t> row;
         forEachMaskCell(lists, part, firstLeaf, endLeaf,
-                        [&](std::uint32_t begin, std::uint32_t end, const Runs& runs, std::uint32_t rowWords,
+                        [&](std::uint32_t begin, std::uint32_t end, const CandidateRuns& runs,
                             const std::uint32_t* words) {
-                            for (std::uint32_t s = begin; s < end; ++s, words += rowWords) {
+                            for (std::uint32_t s = begin; s < end; ++s, words += runs.words) {
                                 row.clear();
-                                decodeRow(*part.candidates, runs, words, row);
+                                decodeRow(runs, words, row);
                                 handOut(s, {row.data(), row.size()});
                             }
                         });
@@ -241,7 +204,7 @@ const ParticleView& NeighborLists::view() const
 }
 SparseGrid NeighborLists::grid() const
 {
-    return SparseGrid(mData->sets.data().parts.front().candidates);
+    return SparseGrid(mData->sets.data().parts.front().own.candidates);
 }
 double NeighborLists::radius() const
 {

@@ -108,7 +108,7 @@ Collector::Collected Collector::collect(const BlockPart& part, const ResultLayou
         mGrid.topology.neighborhoods({&mGrid.leafOrigins[l], 1}, &neighborhood);
         forEachOccupiedCell(blockViewOf(mGrid), l, neighborhood, [&](const OccupiedCell& cell) {
             const std::uint32_t first = std::max(cell.begin, begin), last = std::min(cell.end, end);
-            if (partial->cells[cell.x] & cell.bit || first >= last) return;
+            if (partial->cells[cell.x] & cell.bit() || first >= last) return;
             place(first, last);
             if (isMask) next += (last - first) * cell.rowWords();
         });

@@ -65,7 +65,7 @@ namespace {
 
 bool isPlainSearch(const SearchSetsData& sets, const SearchPart& part, const SearchOptions& options)
 {
-    return part.queries == part.candidates && sets.radius.isOne() && options.nearest == 0 &&
+    return part.queries == part.own.candidates && sets.radius.isOne() && options.nearest == 0 &&
            !options.includeSelf;
 }
 
@@ -78,27 +78,47 @@ const RowKernels& kernelsOf(const SearchSetsData& sets, bool isPlain, const Sear
     return options.nearest > 0 ? ofSets.nearest : ofSets.whole;
 }
 
-SearchContext contextOf(const SearchSetsData& sets, const SearchPart& part, const SearchOptions& options,
-                        const CancelCheck& cancel)
+// Among the candidates of one layer.
+SearchContext contextOf(const SearchSetsData& sets, const SearchPart& part, const SearchLayer& layer,
+                        const SearchOptions& options, const CancelCheck& cancel)
 {
-    SearchContext context{blockViewOf(*part.candidates), part.bounds, pollOf(cancel)};
+    SearchContext context{blockViewOf(*layer.candidates), layer.bounds, pollOf(cancel)};
     context.sets.queries = blockViewOf(*part.queries);
-    context.sets.queryFar = part.queryFar ? part.queryFar->data() : nullptr;
-    context.sets.candidateFar = part.candidateFar ? part.candidateFar->data() : nullptr;
+    context.sets.queryFar = part.queryFar && layer.octaves == 0 ? part.queryFar->data() : nullptr;
+    context.sets.farOfQueries = layer.farOfQueries;
+    context.sets.candidateFar = layer.candidateFar ? layer.candidateFar->data() : nullptr;
     context.sets.excludesSelf = sets.areSameParticles() && !options.includeSelf;
     context.sets.addsSelf = options.includeSelf;
     context.sets.nearest = options.nearest;
-    context.sets.nearestDoubt = part.nearestDoubt;
+    context.sets.nearestDoubt = layer.nearestDoubt;
     return context;
+}
+
+// One more of the nearest on each lattice than is wanted of all tells whether there are more.
+std::vector<LayerRun> layersOf(const SearchSetsData& sets, const SearchPart& part,
+                               const SearchOptions& options, const CancelCheck& cancel)
+{
+    if (part.wider.empty()) return {};
+    std::vector<LayerRun> layers;
+    const auto add = [&](const SearchLayer& layer) {
+        layers.push_back(
+            {layer.candidates.get(), layer.octaves, contextOf(sets, part, layer, options, cancel)});
+        if (options.nearest > 0) ++layers.back().context.sets.nearest;
+    };
+    add(part.own);
+    for (const SearchLayer& layer : part.wider) add(layer);
+    return layers;
 }
 
 } // namespace
 
-SearchRun::SearchRun(const SearchSetsData& sets, const SearchPart& part, const SearchOptions& options)
-    : queries(*part.queries),
-      candidates(*part.candidates),
+SearchRun::SearchRun(const SearchSetsData& sets, const SearchPart& searchPart, const SearchOptions& options)
+    : queries(*searchPart.queries),
+      candidates(*searchPart.own.candidates),
+      part(searchPart),
       firstRow(part.firstRow),
-      context(contextOf(sets, part, options, cancel)),
+      context(contextOf(sets, part, part.own, options, cancel)),
+      layers(layersOf(sets, part, options, cancel)),
       exact(sets.queries, sets.candidates, sets.radius, sets.largestRadius),
       kernels(kernelsOf(sets, isPlainSearch(sets, part, options), options)),
       cancel(options.progress, "search"),
@@ -147,11 +167,47 @@ SearchRuns::SearchRuns(const SearchSets& sets, const SearchOptions& options) : m
     }
 }
 
-SearchTaskFunction SearchRun::rowKernel(Encoding encoding) const
+namespace {
+
+SearchTaskFunction kernelOf(const RowKernels& kernels, RowKind kind)
 {
-    return encoding == Encoding::kIndex  ? kernels.index
-           : encoding == Encoding::kMask ? kernels.mask
-                                         : kernels.count;
+    return kind == RowKind::kIndex   ? kernels.index
+           : kind == RowKind::kVisit ? kernels.visit
+           : kind == RowKind::kMask  ? kernels.mask
+                                     : kernels.count;
+}
+
+RowKind kindOf(Encoding encoding)
+{
+    return encoding == Encoding::kIndex  ? RowKind::kIndex
+           : encoding == Encoding::kMask ? RowKind::kMask
+                                         : RowKind::kCount;
+}
+
+} // namespace
+
+void SearchRun::makeRows(RowKind kind, const SearchTask& task, ThreadState& state, RowSink& sink) const
+{
+    state.decideBy(exact, cancel);
+    if (layers.empty()) {
+        kernelOf(kernels, kind)(context, task, state.exactPredicate(), state.halo, sink, state.statistics);
+    } else {
+        state.beginPlainRows(sink);
+        state.layered.make(*this, kind, task, state, sink);
+        state.endPlainRows(sink);
+    }
+}
+
+std::uint64_t maskBytes(const SearchRun& run, const SearchTask& task)
+{
+    std::uint64_t bytes = maskBytes(run.context.sets.queries, run.context.block, task);
+    for (const LayerRun& layer : run.layers) {
+        LayerTask layerTask;
+        if (layer.octaves > 0 &&
+            findLayerTask(run.queries, *layer.candidates, layer.octaves, task, layerTask))
+            bytes += maskBytes(run.context.sets.queries, layer.context.block, layerTask.task);
+    }
+    return bytes;
 }
 
 void EngineState::beginStatistics(const SearchOptions& options)
@@ -174,13 +230,6 @@ TaskStatistics EngineState::sumStatistics()
     return sum;
 }
 
-void EngineState::runTask(const SearchRun& run, SearchTaskFunction kernel, ThreadState& state,
-                          const SearchTask& task)
-{
-    state.decideBy(run.exact, run.cancel);
-    kernel(run.context, task, state.exactPredicate(), state.halo, state.sink, state.statistics);
-}
-
 // Throws when the lists surely cannot fit. A few queries tell whether there is any doubt; only then all neighbors are
 // counted, as far as seconds or four times what fits go, so that the error never rests on an estimate.
 void EngineState::checkCapacity(const SearchRuns& runs, Encoding encoding, std::uint64_t allowed,
@@ -192,11 +241,11 @@ void EngineState::checkCapacity(const SearchRuns& runs, Encoding encoding, std::
         160'000'000'000; // 4e10 pairs: some seconds of counting on two cores
     const auto bytesOf = [&](const SearchRun& run, ThreadState& state,
                              const SearchTask& task) -> std::uint64_t {
-        if (encoding == Encoding::kMask) return maskBytes(run.context.sets.queries, run.context.block, task);
+        if (encoding == Encoding::kMask) return maskBytes(run, task);
         const std::uint64_t before = state.statistics.pairs;
         state.sink.slotBase = 0;
         state.sink.rowCount = counts + run.firstRow;
-        runTask(run, run.kernels.count, state, task);
+        run.makeRows(RowKind::kCount, task, state, state.sink);
         const SetContext& sets = run.context.sets;
         std::uint64_t pairs = state.statistics.pairs - before;
         if (sets.nearest > 0) {
@@ -290,7 +339,7 @@ void EngineState::makeRows(const SearchRun& run, const SearchTask& task, ThreadS
     state.sink.slotBase = 0;
     state.sink.rowBegin = result.rowBegin.size() > 0 ? result.rowBegin.data() + run.firstRow : nullptr;
     state.sink.rowCount = result.rowCount.data() + run.firstRow;
-    runTask(run, run.rowKernel(result.encoding), state, task);
+    run.makeRows(kindOf(result.encoding), task, state, state.sink);
     if (result.encoding != Encoding::kMask) return;
     state.maskRuns.push_back({run.firstRow + task.firstSlot, state.sink.taskBegin});
     state.maskBytes +=

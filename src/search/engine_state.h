@@ -7,6 +7,7 @@
 #include "exact/exact_test.h"
 #include "grid/search_sets_data.h"
 #include "lists/neighbor_lists_data.h"
+#include "search/layered_rows.h"
 #include "search/leaf_tasks.h"
 #include "search/thread_state.h"
 #include "shared/block_device.h"
@@ -25,8 +26,10 @@ namespace vdb_nns {
 struct SearchRun {
     const SparseGridData& queries;
     const SparseGridData& candidates;
+    const SearchPart& part;
     const std::uint32_t firstRow; // SearchPart::firstRow
-    SearchContext context;
+    SearchContext context;        // among the candidates of SearchPart::own
+    std::vector<LayerRun> layers; // those, and the others; empty where there are no others
     ExactTest exact;
     const RowKernels& kernels;
     CancelCheck cancel;
@@ -40,8 +43,8 @@ struct SearchRun {
     // Whether every particle is query and candidate and one radius serves all: what devices search.
     bool isPlain() const { return mIsPlain; }
 
-    // The kernel that makes rows of an encoding.
-    SearchTaskFunction rowKernel(Encoding encoding) const;
+    // Makes the rows of a task, to `sink`. What mustn't be streamed past the caches may go there too, where a part has layers.
+    void makeRows(RowKind kind, const SearchTask& task, ThreadState& state, RowSink& sink) const;
 
 private:
     const bool mIsPlain;
@@ -76,6 +79,9 @@ private:
     std::vector<std::unique_ptr<SearchRun>> mRuns;
 };
 
+// Of the mask rows of a task, on all layers.
+std::uint64_t maskBytes(const SearchRun& run, const SearchTask& task);
+
 // Throws InvalidInput.
 void checkOptions(const SearchOptions& options);
 
@@ -98,7 +104,6 @@ struct EngineState {
 
     void beginStatistics(const SearchOptions& options);
     TaskStatistics sumStatistics();
-    void runTask(const SearchRun& run, SearchTaskFunction kernel, ThreadState& state, const SearchTask& task);
 
     // Empty lists of two sets, in the memory of the last ones where nobody else reads those. `options`: what rows are cut to.
     std::shared_ptr<NeighborListsData> beginLists(const SearchSets& sets, Encoding encoding,

@@ -84,12 +84,13 @@ void forEachCandidateCount(const BlockView& queries, const BlockView& candidates
 {
     LeafNeighborhood neighborhood;
     std::copy_n(task.neighborhood, kLeavesAround, neighborhood.leaf);
-    forEachOccupiedCell(queries, candidates, task.leaf, neighborhood, [&](const OccupiedCell& cell) {
-        if (task.cells && !(task.cells[cell.x] & cell.bit)) return;
-        const std::uint32_t begin = std::max(cell.begin, task.firstSlot),
-                            end = std::min(cell.end, task.endSlot);
-        if (begin < end) f(end - begin, cell.candidates);
-    });
+    forEachOccupiedCell(queries, candidates, task.leaf, neighborhood, task.wide,
+                        [&](const OccupiedCell& cell) {
+                            if (task.cells && !(task.cells[cell.x] & cell.bit())) return;
+                            const std::uint32_t begin = std::max(cell.begin, task.firstSlot),
+                                                end = std::min(cell.end, task.endSlot);
+                            if (begin < end) f(end - begin, cell.candidates);
+                        });
 }
 
 // Bytes of the mask rows of a task.

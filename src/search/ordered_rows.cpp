@@ -138,8 +138,7 @@ public:
         mSink.slotBase = mSink.nextSlot = mNoted = task.firstSlot;
         mSink.rowBegin = mRowBegin.data();
         mSink.rowCount = counts + task.firstSlot;
-        state.decideBy(run.exact, run.cancel);
-        run.kernels.visit(run.context, task, state.exactPredicate(), state.halo, mSink, state.statistics);
+        run.makeRows(RowKind::kVisit, task, state, mSink);
         noteRows();
     }
 
@@ -416,8 +415,8 @@ void OrderedSearch::sampleNeighbors()
                                                &neighborhood);
         state.sink.slotBase = slot;
         state.sink.rowCount = &count;
-        mEngine.runTask(mRun, mRun.kernels.count, state,
-                        {piece->leaf, slot, slot + 1, neighborhood.leaf, cells});
+        mRun.makeRows(RowKind::kCount, {piece->leaf, slot, slot + 1, neighborhood.leaf, cells}, state,
+                      state.sink);
         const std::uint64_t most = mRun.context.sets.nearest;
         neighbors += static_cast<double>(most > 0 ? std::min<std::uint64_t>(count, most + 1) : count);
     }
@@ -451,7 +450,7 @@ std::uint64_t OrderedSearch::countPairs()
                 [&](ThreadState& state, const SearchTask& task) {
                     state.sink.slotBase = 0;
                     state.sink.rowCount = counts.data();
-                    mEngine.runTask(mRun, mRun.kernels.count, state, task);
+                    mRun.makeRows(RowKind::kCount, task, state, state.sink);
                 });
     const std::uint32_t most = mRun.context.sets.nearest;
     if (most == 0) return mEngine.sumStatistics().pairs;

@@ -200,11 +200,9 @@ void visitTasks(EngineState& engine, const SearchSets& sets, const SearchOptions
                         [&](ThreadState& state, const SearchTask& task) {
                             auto callback = makeCallback(run, state);
                             state.beginCallbacks(callback, task);
-                            state.decideBy(run.exact, run.cancel);
                             // Once a task, for the kernel calls the visitor too.
                             isolated([&] {
-                                run.kernels.visit(run.context, task, state.exactPredicate(), state.halo,
-                                                  state.visited, state.statistics);
+                                run.makeRows(RowKind::kVisit, task, state, state.visited);
                                 state.flushRows();
                             });
                         });
@@ -229,24 +227,38 @@ void SearchEngine::visitRows(const SearchSets& sets, const RowVisitor& visitor, 
                [&](const SearchRun& run, ThreadState&) { return NumberCallback(run.queries, visitor); });
 }
 
+namespace {
+
+// Of a task: queries times the candidates of the cells in their reach, on all layers.
+std::uint64_t countTests(const SearchRun& run, const SearchTask& task)
+{
+    std::uint64_t tests = 0;
+    const auto add = [&](const BlockView& candidatesBlock, const SearchTask& ofLayer) {
+        forEachCandidateCount(
+            run.context.sets.queries, candidatesBlock, ofLayer,
+            [&](std::uint64_t queries, std::uint64_t candidates) { tests += queries * candidates; });
+    };
+    add(run.context.block, task);
+    for (const LayerRun& layer : run.layers) {
+        LayerTask layerTask;
+        if (layer.octaves > 0 &&
+            findLayerTask(run.queries, *layer.candidates, layer.octaves, task, layerTask))
+            add(layer.context.block, layerTask.task);
+    }
+    return tests;
+}
+
+} // namespace
+
 std::uint64_t countCandidateTests(const SearchSets& sets)
 {
     std::atomic<std::uint64_t> tests{0};
     ThreadStates states;
     isolated([&] {
-        for (const SearchPart& part : sets.data().parts) {
-            const BlockView queriesBlock = blockViewOf(*part.queries),
-                            candidatesBlock = blockViewOf(*part.candidates);
-            forEachTask(*part.queries, *part.candidates, makePieces(*part.queries), states,
-                        CancelCheck(nullptr, "count"), [&](ThreadState&, const SearchTask& task) {
-                            std::uint64_t sum = 0;
-                            forEachCandidateCount(queriesBlock, candidatesBlock, task,
-                                                  [&](std::uint64_t queries, std::uint64_t candidates) {
-                                                      sum += queries * candidates;
-                                                  });
-                            tests += sum;
-                        });
-        }
+        SearchRuns(sets, SearchOptions()).forEach([&](const SearchRun& run) {
+            forEachTask(run.queries, run.candidates, run.pieces, states, run.cancel,
+                        [&](ThreadState&, const SearchTask& task) { tests += countTests(run, task); });
+        });
     });
     return tests;
 }

@@ -2,6 +2,7 @@
 #include "search/thread_state.h"
 
 #include <algorithm>
+#include <cstddef>
 
 #include <tbb/task_arena.h>
 
@@ -100,6 +101,22 @@ void ThreadState::finishRows()
 {
     std::copy_n(sink.tail, sink.tailSize, sink.out);
     sink.tailSize = 0;
+}
+
+void ThreadState::beginPlainRows(RowSink& sink)
+{
+    std::copy_n(sink.tail, sink.tailSize, sink.out);
+    sink.out += sink.tailSize;
+    sink.tailSize = 0;
+}
+
+void ThreadState::endPlainRows(RowSink& sink)
+{
+    constexpr std::uintptr_t kLineBytes = RowSink::kLine * sizeof(std::uint32_t);
+    const std::uintptr_t past = reinterpret_cast<std::uintptr_t>(sink.out) % kLineBytes;
+    if (past == 0) return;
+    const auto entries = static_cast<std::ptrdiff_t>((kLineBytes - past) / sizeof(std::uint32_t));
+    sink.out = sink.end - sink.out < entries ? sink.end : sink.out + entries;
 }
 
 ExactPredicate ThreadState::exactPredicate()

@@ -5,6 +5,7 @@
 #include "exact/exact_test.h"
 #include "grid/sparse_grid_data.h"
 #include "lists/neighbor_lists_data.h"
+#include "search/layered_rows.h"
 #include "util/cancel.h"
 #include "util/memory.h"
 #include "vdb_nns/search.h"
@@ -60,12 +61,18 @@ struct ThreadState {
     void decideBy(const ExactTest& exact, const CancelCheck& cancel);
     ExactPredicate exactPredicate();
 
+    // Before and after rows are written to `sink` in the plain way, of which others of the thread may be streamed: entries that wait
+    // go where they belong, and the next ones begin with a line.
+    static void beginPlainRows(RowSink& sink);
+    static void endPlainRows(RowSink& sink);
+
     // Rows of the coming task, by Kernels::visit, go to `callback` instead of into lists. Queries outside of the task's cells
     // have empty rows.
     void beginCallbacks(RowCallback& callback, const SearchTask& task);
     void flushRows();
 
     HaloScratch halo;
+    LayeredRows layered;
     RowSink sink;    // rows into lists
     RowSink visited; // rows that are handed to a RowCallback
     TaskStatistics statistics;
