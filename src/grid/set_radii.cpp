@@ -14,6 +14,8 @@ namespace {
 
 constexpr std::size_t kGrain = 16384;
 constexpr std::size_t kMostClasses = 40;
+// Below, halvings of the largest radius may be rounded: the rest is one class.
+constexpr double kSmallestBound = 1e-280;
 // The smallest class has at least so many particles, or such a share of all.
 constexpr double kSmallestClass = 32, kSmallestShare = 1.0 / 1024;
 
@@ -67,8 +69,11 @@ std::vector<RadiusClass> RadiusCensus::classes() const
     for (std::size_t k = 0; left > 0; ++k) {
         if (mCounts[k] == 0) continue;
         left -= mCounts[k];
-        classes.push_back({static_cast<int>(k), static_cast<int>(k)});
-        if (static_cast<double>(left) < least || classes.size() == kMostClasses) break;
+        const RadiusClass c{static_cast<int>(k), static_cast<int>(k)};
+        classes.push_back(c);
+        if (static_cast<double>(left) < least || classes.size() == kMostClasses ||
+            c.upTo(mLargest) < kSmallestBound)
+            break;
     }
     if (!classes.empty()) classes.back().last = RadiusClass::kAllSmaller;
     return classes;
@@ -81,6 +86,8 @@ ClassMembers membersOf(const RadiusClass& c, double largest, Span<const double> 
         double largest = 0;
         std::size_t count = 0;
     };
+    const double upTo = c.upTo(largest),
+                 above = c.last == RadiusClass::kAllSmaller ? 0 : std::ldexp(largest, -(c.last + 1));
     ClassMembers members;
     members.chosen.resize(radii.size());
     const Sum sum = tbb::parallel_reduce(
@@ -93,8 +100,7 @@ ClassMembers membersOf(const RadiusClass& c, double largest, Span<const double> 
                     s.count += alsoUnreaching;
                     continue;
                 }
-                const int halvings = halvingsOf(radii[i], largest);
-                if (halvings < c.first || halvings > c.last) continue;
+                if (!(radii[i] > above && radii[i] <= upTo)) continue;
                 members.chosen[i] = 1;
                 ++s.count;
                 s.largest = std::max(s.largest, radii[i]);

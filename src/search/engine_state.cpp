@@ -103,7 +103,8 @@ std::vector<LayerRun> layersOf(const SearchSetsData& sets, const SearchPart& par
     const auto add = [&](const SearchLayer& layer) {
         layers.push_back(
             {layer.candidates.get(), layer.octaves, contextOf(sets, part, layer, options, cancel)});
-        if (options.nearest > 0) ++layers.back().context.sets.nearest;
+        std::uint32_t& nearest = layers.back().context.sets.nearest;
+        if (nearest > 0 && nearest < std::numeric_limits<std::uint32_t>::max()) ++nearest;
     };
     add(part.own);
     for (const SearchLayer& layer : part.wider) add(layer);

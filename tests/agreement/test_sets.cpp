@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <random>
 #include <string>
@@ -354,6 +355,54 @@ TEST(TwoSets, TiesAreDecidedExactly)
     }
 }
 
+// Points in boxes within boxes, with radii as wide as their own box: lattices that are up to 2^26 times as wide as others, and none in
+// between.
+TEST(NestedLattices, AreExact)
+{
+    std::mt19937 random(17);
+    std::uniform_real_distribution<> place(-1, 1), share(0.3, 0.6);
+    PointSet set;
+    std::vector<double> radii;
+    for (const int octaves : {0, 1, 2, 3, 4, 9, 26}) {
+        for (int i = 0; i < 45; ++i) {
+            ExactPoint p;
+            for (double& x : p.offset) x = std::ldexp(place(random), -octaves);
+            set.points.push_back(p);
+            radii.push_back(std::ldexp(share(random), -octaves));
+        }
+    }
+    radii[3] = std::nan("");
+    radii[100] = 0;
+    set = roundedToFloats(set);
+    const auto radiusOf = [&](OracleMode mode) {
+        Radius radius;
+        radius.ofQueries = radius.ofCandidates = spanOf(radii);
+        radius.mode = modeOf(mode);
+        return radius;
+    };
+    for (const Form form : {Form::kDoubles, Form::kVoxels}) {
+        set.name = nameOf(form);
+        if (form == Form::kVoxels) set.linear = linearMaps().back().linear;
+        const SetView input(set, form);
+        for (const OracleMode mode : {OracleMode::kScatter, OracleMode::kSymmetric}) {
+            EXPECT_GE(SearchEngine().sort(input.view(), input.view(), radiusOf(mode)).latticeCount(), 7u);
+            SetProblem problem;
+            problem.queries.points = problem.candidates.points = set.points;
+            problem.queries.linear = problem.candidates.linear = set.linear;
+            problem.queries.radii = problem.candidates.radii = radii;
+            problem.mode = mode;
+            for (const std::size_t nearest : {0, 1, 7, 300}) {
+                problem.nearest = nearest;
+                problem.includeSelf = nearest != 1;
+                expectRight(EngineProblem(problem, input.view(), input.view()),
+                            set.name + ", mode " + std::to_string(static_cast<int>(mode)) + ", nearest " +
+                                std::to_string(nearest));
+                if (HasFatalFailure()) return;
+            }
+        }
+    }
+}
+
 // What must hold, whatever the lists are: on a few thousand particles.
 class SetInvariance : public ::testing::Test {
 protected:
@@ -395,6 +444,38 @@ TEST_F(SetInvariance, ScatterIsTheTransposeOfGather)
         for (const std::uint32_t j : gather[i]) transpose[j].push_back(i);
     }
     EXPECT_EQ(scatter, transpose);
+}
+
+// As many rows at once as the memory of a thread holds, and the next ones then: of a crowd with radii of its own among others.
+TEST(NestedLattices, CrowdsAreSearchedInParts)
+{
+    constexpr std::uint32_t kCrowd = 9000, kOthers = 100;
+    std::vector<float> positions(3 * kCrowd, 0.5f);
+    std::vector<double> radii(kCrowd, 0.01);
+    for (std::uint32_t i = 0; i < kOthers; ++i) {
+        for (int k = 0; k < 3; ++k)
+            positions.push_back(0.5f + 0.25f * static_cast<float>(k == 0) * i / kOthers);
+        radii.push_back(0.3);
+    }
+    const ParticleView view = ParticleView::fromArray(positions.data(), kCrowd + kOthers);
+    Radius radius;
+    radius.ofQueries = radius.ofCandidates = spanOf(radii);
+    radius.mode = RadiusMode::kScatter;
+    SearchOptions options;
+    options.encoding = Encoding::kNone;
+    const std::vector<std::uint32_t> counts = search(view, view, radius, options).counts();
+    SearchEngine engine;
+    std::atomic<std::uint32_t> wrong{0};
+    engine.visitRows(engine.sort(view, view, radius),
+                     [&](std::uint32_t query, Span<const std::uint32_t> row) {
+                         std::vector<std::uint32_t> numbers(row.begin(), row.end());
+                         std::sort(numbers.begin(), numbers.end());
+                         const bool isSet = std::unique(numbers.begin(), numbers.end()) == numbers.end();
+                         wrong += !isSet || numbers.size() != counts[query] ||
+                                  std::binary_search(numbers.begin(), numbers.end(), query);
+                     });
+    EXPECT_EQ(wrong, 0u);
+    for (std::uint32_t i = 0; i < kCrowd; ++i) ASSERT_EQ(counts[i], kCrowd - 1 + kOthers);
 }
 
 TEST_F(SetInvariance, SymmetricIsSymmetric)
@@ -500,12 +581,15 @@ TEST(TwoSets, OfManyAtOnePlaceTheFirstAreNearest)
 TEST_F(SetInvariance, ThreadsChangeNothing)
 {
     SearchOptions options;
-    options.nearest = 7;
-    const Lists lists = listsOf(search(mView, mView, radii(RadiusMode::kGather), options));
-    for (const int threads : {1, 3, 8}) {
-        runOnThreads(threads, [&] {
-            EXPECT_EQ(listsOf(search(mView, mView, radii(RadiusMode::kGather), options)), lists);
-        });
+    for (const RadiusMode mode : {RadiusMode::kGather, RadiusMode::kScatter, RadiusMode::kSymmetric}) {
+        for (const std::uint32_t nearest : {0u, 7u}) {
+            options.nearest = nearest;
+            const Lists lists = listsOf(search(mView, mView, radii(mode), options));
+            for (const int threads : {1, 3, 8}) {
+                runOnThreads(threads,
+                             [&] { EXPECT_EQ(listsOf(search(mView, mView, radii(mode), options)), lists); });
+            }
+        }
     }
 }
 
