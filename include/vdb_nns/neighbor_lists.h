@@ -42,7 +42,7 @@ struct ListStatistics {
 /// The number i of a query must be below size(); that is not checked.
 ///
 /// A list holds numbers of the candidates' view in cell-visiting order: by the neighbor's cell, (x, y,
-/// z) lexicographic, and by number inside a cell. The order is the same for both encodings. Unless asked for
+/// z) lexicographic, and by number inside a cell; on several lattices (SearchSets) one after the other. The order is the same for both encodings. Unless asked for
 /// (SearchOptions::includeSelf), a particle is not in its own list; others at the same place are.
 class NeighborLists {
 public:
@@ -108,8 +108,8 @@ public:
     /// What the lists were made from.
     const SearchSets& sets() const;
     const ParticleView& view() const; ///< of the candidates
-    SparseGrid grid() const;          ///< of the candidates, on the lattice of the largest radius
-    double radius() const;            ///< of the search that made them, the largest; world units
+    SparseGrid grid() const; ///< of the candidates; on several lattices, of those with the widest cells
+    double radius() const;   ///< of the search that made them, the largest; world units
 
     const NeighborListsData& data() const { return *mData; }
 

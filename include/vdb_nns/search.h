@@ -84,7 +84,7 @@ public:
     SparseGrid buildGrid(const ParticleView& view, const Lattice& lattice, const SearchOptions& options = {});
 
     /// Sorts two sets for a radius, or for radii of particles: on the lattice that suits the candidates; on several
-    /// where the queries have radii that differ by more than a factor of two, a pass over all candidates each. Arrays
+    /// where radii differ by more than a factor of two, a pass or two over all particles each. Arrays
     /// of the sets and the radius must stay alive and unchanged as long as what is made from them is used.
     /// Cost: of the queries as buildGrid(); of the candidates those near a query, and a look at the others.
     /// @throws InvalidInput for a bad radius, arrays of another size than their view, radii that are missing, or a
@@ -156,6 +156,12 @@ public:
     /// at, so no fallback is planned.
     /// @throws as the job
     JobPlan planJob(const ParticleView& view, double radius, const JobOptions& options);
+
+    /// The same for the neighbors of queries among candidates, on the CPU: a sample of the queries is counted, tests and the bytes of
+    /// masks are exact, and there are no blocks.
+    /// @throws as the job
+    JobPlan planJob(const ParticleSet& candidates, const ParticleSet& queries, const Radius& radius,
+                    const JobOptions& options);
 
     const SearchStatistics& statistics() const;
 

@@ -73,7 +73,9 @@ NeighborLists findNeighbors(const ParticleView& view, double radius, const JobOp
 
 /// What a job would do first: its grid, and the plan in full, also for the CPU alone.
 struct JobPlan {
-    SparseGrid grid;
+    SearchSets sets;
+    SparseGrid
+        grid; ///< of all particles; empty where they are not both queries and candidates within one radius
     Plan plan;
     double gridSeconds = 0;
 };

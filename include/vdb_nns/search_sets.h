@@ -14,8 +14,8 @@ struct SearchSetsData; // src/grid/search_sets_data.h
 /// Immutable; a cheap handle whose copies share the data. Safe to read from several threads. Made by SearchEngine::sort(), or
 /// of one grid, whose particles are queries and candidates then.
 ///
-/// Where radii differ by more than a factor of two and those of the queries decide, the queries are sorted on several lattices,
-/// each with the candidates near its own: so figures are sums over lattices, and a candidate may count several times.
+/// Where radii differ by more than a factor of two, queries and candidates are sorted on several lattices; a query is on one of them,
+/// a candidate may be on several. Figures of leaves, cells and bytes are sums over lattices.
 class SearchSets {
 public:
     /// Nobody.

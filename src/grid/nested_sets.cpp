@@ -290,6 +290,7 @@ void NestedSorter::finish()
         mSets.parts.push_back(std::move(part));
     }
     mSets.lattices = mLevels.size();
+    mSets.widest = mLevels.front().lattice;
 }
 
 } // namespace

@@ -112,6 +112,7 @@ private:
         mSets.nonfiniteCandidates = std::max(mSets.nonfiniteCandidates, part.own.candidates->nonfiniteCount);
         mSets.parts.push_back(std::move(part));
         mSets.lattices = mSets.parts.size();
+        mSets.widest = mSets.parts.front().queries->lattice;
     }
 
     const ParticleSet &mCandidates, &mQueries;
@@ -183,6 +184,7 @@ SearchSets::SearchSets(const SparseGrid& sparseGrid, double radius)
     part.own = SearchLayer(grid, RadiusBounds(grid->lattice, radius, grid->coordinateError, 4));
     sets->finiteQueries = grid->finiteCount;
     sets->nonfiniteQueries = sets->nonfiniteCandidates = grid->nonfiniteCount;
+    sets->widest = grid->lattice;
     sets->parts.push_back(std::move(part));
     mData = sets;
 }
@@ -209,11 +211,11 @@ double SearchSets::radius() const
 }
 double SearchSets::cellSize() const
 {
-    return mData->parts.front().queries->lattice.cellSize;
+    return mData->widest.cellSize;
 }
 int SearchSets::reach() const
 {
-    return mData->parts.front().queries->lattice.reach;
+    return mData->widest.reach;
 }
 std::uint64_t SearchSets::latticeCount() const
 {

@@ -63,6 +63,7 @@ struct SearchSetsData {
     double largestRadius = 0;      // of those that reach somebody
     std::vector<SearchPart> parts; // those with the widest cells first; one at least
     std::uint64_t lattices = 1;
+    Lattice widest;                  // of the lattices
     std::uint64_t finiteQueries = 0; // of those that have the role
     std::uint64_t nonfiniteQueries = 0, nonfiniteCandidates = 0;
 

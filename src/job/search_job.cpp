@@ -6,6 +6,7 @@
 #include "io/npz_search.h"
 #include "job/host_budget.h"
 #include "search/engine_state.h"
+#include "search/sample_rows.h"
 #include "util/sole_owner.h"
 #include "util/wall_clock.h"
 #include "vdb_nns/memory.h"
@@ -102,13 +103,17 @@ public:
         });
     }
 
-    JobPlan plan(const ParticleView& view, double radius)
+    JobPlan plan(const ParticleSet& candidates, const ParticleSet& queries, const Radius& radius)
     {
         JobPlan result;
-        result.grid = mBudget.explained(
-            [&] { return SparseGrid(sort(view, view, radius).data().parts.front().queries); });
+        result.sets = mBudget.explained([&] { return sort(candidates, queries, radius); });
         result.gridSeconds = mReport.gridSeconds;
         const SearchOptions& search = mReport.settled.search;
+        if (!isPlain(result.sets, search)) {
+            result.plan = planSets(result.sets, search);
+            return result;
+        }
+        result.grid = gridOf(result.sets);
         result.plan = makePlan(result.grid, mReport.settled.device, search.encoding, PlanDetail::kFull,
                                search.progress);
         return result;
@@ -182,7 +187,14 @@ private:
         return mEngine.search(grid, mReport.plan->schedule, mReport.plan->devices, run, *mReport.run);
     }
 
-    // The one grid that devices search.
+    // What devices search: all particles of one grid within one radius.
+    static bool isPlain(const SearchSets& sets, const SearchOptions& search)
+    {
+        const SearchSetsData& data = sets.data();
+        return data.parts.size() == 1 && data.parts[0].queries == data.parts[0].own.candidates &&
+               data.radius.isOne() && search.nearest == 0 && !search.includeSelf;
+    }
+
     static SparseGrid gridOf(const SearchSets& sets)
     {
         const SearchSetsData& data = sets.data();
@@ -193,6 +205,42 @@ private:
                 "radii of particles without devices");
         }
         return SparseGrid(data.parts[0].queries);
+    }
+
+    // On the CPU, which takes them as a whole.
+    Plan planSets(const SearchSets& sets, const SearchOptions& search)
+    {
+        constexpr std::size_t kSampledQueries = 1024; // of each part
+        const DeviceOptions& device = mReport.settled.device;
+        if (!device.devices.empty()) gridOf(SearchSets(sets)); // says that they cannot
+        Plan plan;
+        const double start = wallSeconds();
+        mState.beginStatistics(search);
+        const SearchRuns runs(sets, search);
+        runs.forEach([&](const SearchRun& run) {
+            const RowSample sample = sampleRows(run, kSampledQueries, mState.states.local());
+            plan.countedQueries += sample.queries;
+            plan.total.expectedPairs +=
+                sample.entriesEach() * static_cast<double>(run.queries.particleCount());
+        });
+        plan.estimator = Estimator::kSampled;
+        plan.total.particles = sets.finiteQueries();
+        const ListWork work = countListWork(runs);
+        plan.total.candidateTests = work.candidateTests;
+        plan.total.maskBytes = work.maskBytes;
+        plan.everything.up = sets.bytes();
+        plan.everything.down =
+            search.encoding == Encoding::kMask
+                ? work.maskBytes
+                : static_cast<std::uint64_t>(plan.total.expectedPairs * sizeof(std::uint32_t));
+        plan.everything.down +=
+            runs.rowCount() * 2 * sizeof(std::uint64_t); // slot, count and place of each row
+        plan.schedule.model.encoding = search.encoding;
+        plan.schedule.cpuParticles = plan.total.particles;
+        plan.schedule.predictedSeconds = plan.schedule.lowerBoundSeconds = plan.schedule.cpuBusySeconds =
+            static_cast<double>(work.candidateTests) / device.schedule.cpuTestsPerSecond;
+        plan.estimateSeconds = wallSeconds() - start;
+        return plan;
     }
 
     // The sets once more, in the cells of the options.
@@ -242,8 +290,14 @@ NeighborLists SearchEngine::findNeighbors(const ParticleSet& candidates, const P
 
 JobPlan SearchEngine::planJob(const ParticleView& view, double radius, const JobOptions& options)
 {
+    return planJob(view, view, radius, options);
+}
+
+JobPlan SearchEngine::planJob(const ParticleSet& candidates, const ParticleSet& queries, const Radius& radius,
+                              const JobOptions& options)
+{
     JobReport report;
-    return Job(*this, *mImpl, options, report).plan(view, radius);
+    return Job(*this, *mImpl, options, report).plan(candidates, queries, radius);
 }
 
 NeighborLists findNeighbors(const ParticleView& view, double radius, const JobOptions& options,

@@ -199,16 +199,39 @@ void SearchRun::makeRows(RowKind kind, const SearchTask& task, ThreadState& stat
     }
 }
 
-std::uint64_t maskBytes(const SearchRun& run, const SearchTask& task)
+ListWork listWork(const SearchRun& run, const SearchTask& task)
 {
-    std::uint64_t bytes = maskBytes(run.context.sets.queries, run.context.block, task);
+    ListWork work;
+    const auto add = [&](const BlockView& candidatesBlock, const SearchTask& ofLayer) {
+        forEachCandidateCount(run.context.sets.queries, candidatesBlock, ofLayer,
+                              [&](std::uint64_t queries, std::uint64_t candidates) {
+                                  work.candidateTests += queries * candidates;
+                                  work.maskBytes += queries * maskWords(candidates) * sizeof(std::uint32_t);
+                              });
+    };
+    add(run.context.block, task);
     for (const LayerRun& layer : run.layers) {
         LayerTask layerTask;
         if (layer.octaves > 0 &&
             findLayerTask(run.queries, *layer.candidates, layer.octaves, task, layerTask))
-            bytes += maskBytes(run.context.sets.queries, layer.context.block, layerTask.task);
+            add(layer.context.block, layerTask.task);
     }
-    return bytes;
+    return work;
+}
+
+ListWork countListWork(const SearchRuns& runs)
+{
+    std::atomic<std::uint64_t> tests{0}, bytes{0};
+    ThreadStates states;
+    runs.forEach([&](const SearchRun& run) {
+        forEachTask(run.queries, run.candidates, run.pieces, states, run.cancel,
+                    [&](ThreadState&, const SearchTask& task) {
+                        const ListWork work = listWork(run, task);
+                        tests += work.candidateTests;
+                        bytes += work.maskBytes;
+                    });
+    });
+    return {tests, bytes};
 }
 
 void EngineState::beginStatistics(const SearchOptions& options)
@@ -242,7 +265,7 @@ void EngineState::checkCapacity(const SearchRuns& runs, Encoding encoding, std::
         160'000'000'000; // 4e10 pairs: some seconds of counting on two cores
     const auto bytesOf = [&](const SearchRun& run, ThreadState& state,
                              const SearchTask& task) -> std::uint64_t {
-        if (encoding == Encoding::kMask) return maskBytes(run, task);
+        if (encoding == Encoding::kMask) return listWork(run, task).maskBytes;
         const std::uint64_t before = state.statistics.pairs;
         state.sink.slotBase = 0;
         state.sink.rowCount = counts + run.firstRow;

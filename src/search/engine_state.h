@@ -79,8 +79,14 @@ private:
     std::vector<std::unique_ptr<SearchRun>> mRuns;
 };
 
-// Of the mask rows of a task, on all layers.
-std::uint64_t maskBytes(const SearchRun& run, const SearchTask& task);
+// What follows from the cells alone, on all layers.
+struct ListWork {
+    std::uint64_t candidateTests = 0; // queries times the particles of the cells in their reach
+    std::uint64_t maskBytes = 0;      // of mask rows
+};
+ListWork listWork(const SearchRun& run, const SearchTask& task);
+// Of all tasks.
+ListWork countListWork(const SearchRuns& runs);
 
 // Throws InvalidInput.
 void checkOptions(const SearchOptions& options);

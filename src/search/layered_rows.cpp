@@ -225,7 +225,7 @@ void LayeredRows::make(const SearchRun& run, RowKind kind, const SearchTask& tas
 {
     for (const std::unique_ptr<Share>& share : mShares) share->isEmpty = true;
     if (kind == RowKind::kMask) {
-        sink.grow(sink, maskBytes(run, task) / sizeof(std::uint32_t));
+        sink.grow(sink, listWork(run, task).maskBytes / sizeof(std::uint32_t));
         sink.taskBegin = sink.out;
     }
     std::uint32_t most = task.endSlot - task.firstSlot;

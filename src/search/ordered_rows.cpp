@@ -2,8 +2,8 @@
 
 #include "cpu/leaves_in_reach-inl.h"
 #include "lists/row_checksum.h"
-#include "search/count_queries.h"
 #include "search/row_window.h"
+#include "search/sample_rows.h"
 #include "util/wall_clock.h"
 
 #include <tbb/blocked_range.h>
@@ -392,35 +392,8 @@ OrderedSearch::OrderedSearch(EngineState& engine, const SearchSets& sets, const 
     : mEngine(engine), mOptions(options), mRuns(setsWithin(sets, options.radius), options), mRun(mRuns[0])
 {
     mOrder = std::make_unique<TaskOrder>(mRun.queries, mRun.pieces);
-    sampleNeighbors();
-}
-
-void OrderedSearch::sampleNeighbors()
-{
-    const std::size_t particles = mRun.queries.particleCount(),
-                      sampled = std::min(particles, kSampledQueries);
     mEngine.beginStatistics(mOptions);
-    ThreadState& state = mEngine.states.local();
-    auto piece = mRun.pieces.begin();
-    std::uint32_t count = 0;
-    double neighbors = 0;
-    for (std::size_t k = 0; k < sampled; ++k) {
-        const auto slot = static_cast<std::uint32_t>(particles * k / sampled);
-        while (piece->endSlot <= slot) ++piece;
-        std::uint64_t cells[8];
-        markCell(mRun.queries, piece->leaf, slot, cells);
-        LeafNeighborhood neighborhood;
-        const std::uint32_t wanted = leavesInReach(cells, mRun.queries.reach());
-        mRun.candidates.topology.neighborhoods({&mRun.queries.leafOrigins[piece->leaf], 1}, &wanted,
-                                               &neighborhood);
-        state.sink.slotBase = slot;
-        state.sink.rowCount = &count;
-        mRun.makeRows(RowKind::kCount, {piece->leaf, slot, slot + 1, neighborhood.leaf, cells}, state,
-                      state.sink);
-        const std::uint64_t most = mRun.context.sets.nearest;
-        neighbors += static_cast<double>(most > 0 ? std::min<std::uint64_t>(count, most + 1) : count);
-    }
-    if (sampled > 0) mExpectedNeighbors = neighbors / static_cast<double>(sampled);
+    mExpectedNeighbors = sampleRows(mRun, kSampledQueries, mEngine.states.local()).entriesEach();
 }
 
 OrderedSearch::~OrderedSearch() = default;

@@ -60,7 +60,6 @@ private:
     struct TaskOrder;
     class Rows;
 
-    void sampleNeighbors();
     std::uint64_t mostBytesBegun(std::uint64_t windowBytes) const;
 
     EngineState& mEngine;

@@ -11,7 +11,6 @@
 #include "util/wall_clock.h"
 #include "vdb_nns/error.h"
 
-#include <atomic>
 #include <string>
 
 namespace vdb_nns {
@@ -227,40 +226,9 @@ void SearchEngine::visitRows(const SearchSets& sets, const RowVisitor& visitor, 
                [&](const SearchRun& run, ThreadState&) { return NumberCallback(run.queries, visitor); });
 }
 
-namespace {
-
-// Of a task: queries times the candidates of the cells in their reach, on all layers.
-std::uint64_t countTests(const SearchRun& run, const SearchTask& task)
-{
-    std::uint64_t tests = 0;
-    const auto add = [&](const BlockView& candidatesBlock, const SearchTask& ofLayer) {
-        forEachCandidateCount(
-            run.context.sets.queries, candidatesBlock, ofLayer,
-            [&](std::uint64_t queries, std::uint64_t candidates) { tests += queries * candidates; });
-    };
-    add(run.context.block, task);
-    for (const LayerRun& layer : run.layers) {
-        LayerTask layerTask;
-        if (layer.octaves > 0 &&
-            findLayerTask(run.queries, *layer.candidates, layer.octaves, task, layerTask))
-            add(layer.context.block, layerTask.task);
-    }
-    return tests;
-}
-
-} // namespace
-
 std::uint64_t countCandidateTests(const SearchSets& sets)
 {
-    std::atomic<std::uint64_t> tests{0};
-    ThreadStates states;
-    isolated([&] {
-        SearchRuns(sets, SearchOptions()).forEach([&](const SearchRun& run) {
-            forEachTask(run.queries, run.candidates, run.pieces, states, run.cancel,
-                        [&](ThreadState&, const SearchTask& task) { tests += countTests(run, task); });
-        });
-    });
-    return tests;
+    return isolated([&] { return countListWork(SearchRuns(sets, SearchOptions())).candidateTests; });
 }
 
 NeighborLists SearchEngine::findNeighbors(const ParticleView& view, double radius,

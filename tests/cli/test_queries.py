@@ -324,3 +324,21 @@ class Queries(CliCase):
             rows, _ = rows_of(self.points, self.points, 0, "gather", self.radii)
             self.succeeds("verify", self.input, self.lists(rows, 300), "--radius-file", self.path("other.npy"))
         self.fails(3, "verify", self.input, lists, "-r", "0.1", "--queries", self.queries, says="has 300 rows, but there are 120")
+
+    def test_plans_know_them(self):
+        """Tests and bytes of masks follow from the cells, pairs from counted queries: here all of them."""
+        radii = ("--radius-file", self.path("radii.npy"))
+        np.save(self.path("radii.npy"), self.radii)
+        for flags in ((*radii,), (*radii, "--radius-mode", "scatter"), (*radii, "--radius-mode", "symmetric"),
+                      ("-r", "0.1", "--queries", self.queries), ("-r", "0.1", "--nearest", "3"),
+                      (*radii, "--nearest", "2", "--include-self")):
+            found = self.report("search", self.input, *flags, "--checksum")
+            planned = self.report("plan", self.input, *flags)
+            self.assertAlmostEqual(planned["plan"]["estimated_pairs"], found["result"]["pairs"], places=3)
+            self.assertEqual(planned["plan"]["candidate_tests"], found["plan"]["candidate_tests"])
+            for key in ("lattices", "leaves", "cells", "cell_size"):
+                self.assertEqual(planned["grid"][key], found["grid"][key])
+            self.assertEqual(planned["plan"]["blocks_list"], [])
+        self.fails(2, "plan", self.input, *radii, "--device", "sim", says="devices search all particles within one radius")
+        self.fails(2, "plan", self.input, *radii, "--svg", self.path("plan.svg"), says="--svg draws blocks")
+        self.fails(2, "plan", self.input, "-r", "1", "--nearest", "3", "--encoding", "mask", says="masks hold whole lists")

@@ -6,6 +6,7 @@
 #include "machine.h"
 #include "plan_svg.h"
 #include "point_input.h"
+#include "query_options.h"
 #include "report.h"
 #include "search_progress.h"
 #include "standard_streams.h"
@@ -26,15 +27,18 @@ namespace {
 struct PlanFlags {
     CommonFlags common;
     InputFlags input;
+    QueryFlags query;
     EngineFlags engine;
     DeviceFlags device;
     std::string encoding = "mask", nonfinite = "skip", svg;
+    bool givesEncoding = false; // whether the flag is there
 };
 
 void addFlags(CLI::App& app, PlanFlags& flags)
 {
     app.add_option("IN", flags.input.path, kInputHelp)->required()->check(notEmpty());
     addInputFlags(app, flags.input, true);
+    addQueryFlags(app, flags.query);
     addDeviceFlags(app, flags.device);
     addEngineFlags(app, flags.engine);
     app.add_option("--encoding", flags.encoding, "how lists would be held: index or mask")
@@ -56,21 +60,35 @@ void addFlags(CLI::App& app, PlanFlags& flags)
 }
 
 // Everything that can be wrong without reading a byte.
-SearchOptions checkFlags(const PlanFlags& flags)
+SearchOptions checkFlags(const PlanFlags& flags, QueryPlan& query)
 {
     if (!flags.input.radius.empty()) parsePositive(flags.input.radius, "--radius");
+    query = checkQueryFlags(flags.query, flags.input);
     SearchOptions options = searchOptions(flags.engine, nullptr);
+    options.nearest = query.nearest;
+    options.includeSelf = query.includeSelf;
     options.encoding = flags.encoding == "index" ? Encoding::kIndex : Encoding::kMask;
-    if (!flags.svg.empty()) checkNotInput(flags.svg, {flags.input.path});
-    std::vector<std::string> outputs;
+    if (query.nearest > 0 && flags.encoding == "mask" && flags.givesEncoding) {
+        throw InvalidInput("--encoding mask and --nearest do not go together: masks hold whole lists; use "
+                           "--encoding index");
+    }
+    if (query.nearest > 0) options.encoding = Encoding::kIndex;
+    if (!flags.svg.empty() && !query.isPlain()) {
+        throw InvalidInput(
+            "--svg draws blocks, and searches of queries, groups, radii of points or the nearest "
+            "have none: leave it out");
+    }
+    std::vector<std::string> inputs = queryFiles(flags.query), outputs;
+    inputs.push_back(flags.input.path);
+    if (!flags.svg.empty()) checkNotInput(flags.svg, inputs);
     if (!flags.svg.empty()) outputs.push_back(flags.svg);
-    checkOutputs(outputs, {flags.input.path}, flags.common);
+    checkOutputs(outputs, inputs, flags.common);
     return options;
 }
 
-void fillReport(const SparseGrid& grid, const SearchOptions& options, SearchReport& report)
+void fillReport(const SearchSets& sets, const SearchOptions& options, SearchReport& report)
 {
-    fillGridReport(grid, options, report);
+    fillGridReport(sets, options, report);
     report.encoding = options.encoding;
     report.simd = simdLevelName(bestSimdLevel());
     report.candidateTests = report.plan->total.candidateTests;
@@ -94,7 +112,8 @@ int plannedThreads()
     return tbb::info::default_concurrency();
 }
 
-int planFile(const PlanFlags& flags, JobOptions options, int threads, Session& session)
+int planFile(const PlanFlags& flags, const QueryPlan& query, JobOptions options, int threads,
+             Session& session)
 {
     const Stopwatch total;
     ProgressPrinter progress(progressMode(flags.common));
@@ -102,21 +121,23 @@ int planFile(const PlanFlags& flags, JobOptions options, int threads, Session& s
     report.command = "plan";
     report.device.threads = threads;
     const PointNeeds needs{!flags.common.json.empty(), flags.nonfinite == "fail", flags.common.quiet,
-                           options.search.hostMemoryBytes};
-    const PointFile file = readPoints(flags.input, needs, {progress, 0, 0.4}, session, report);
+                           options.search.hostMemoryBytes, query.hasRadii};
+    const QueryInput input =
+        readQuerySets(flags.input, flags.query, query, needs, {progress, 0, 0.4}, session, report);
 
     SearchEngine engine;
     SearchProgress steps({progress, 0.4, 1});
     options.search.progress = &steps;
-    JobPlan planned = engine.planJob(file.view(), report.radius, options);
-    const SparseGrid& grid = planned.grid;
+    JobPlan planned =
+        engine.planJob(input.candidateSet(), input.querySet(), input.radius(report.radius), options);
+    if (query.hasRadii) report.radius = planned.sets.radius();
     report.seconds.grid = report.seconds.firstGrid = planned.gridSeconds;
     report.seconds.estimate = planned.plan.estimateSeconds;
     report.seconds.plan = planned.plan.planSeconds;
     report.plan = std::move(planned.plan);
-    fillReport(grid, options.search, report);
+    fillReport(planned.sets, options.search, report);
     throwIfStopped();
-    deliver(flags, grid, report);
+    deliver(flags, planned.grid, report);
     progress.finish();
     report.peakBytes = peakMemoryBytes();
     report.seconds.total = total.seconds();
@@ -139,10 +160,11 @@ int runPlanCommand(const PlanFlags& flags, Session& session)
 {
     const int wanted = threadCount(flags.common);
     JobOptions options;
-    options.search = checkFlags(flags);
+    QueryPlan query;
+    options.search = checkFlags(flags, query);
     ThreadLimit threads(wanted);
     options.device = deviceOptions(flags.device, plannedThreads());
-    return threads.run([&] { return planFile(flags, options, threads.count(), session); });
+    return threads.run([&] { return planFile(flags, query, options, threads.count(), session); });
 }
 
 } // namespace
@@ -153,7 +175,10 @@ Command addPlanCommand(CLI::App& app)
         app.add_subcommand("plan", "show how a search would be cut into blocks, and who would run them");
     const auto flags = std::make_shared<PlanFlags>();
     addFlags(*command, *flags);
-    return {command, [flags](Session& session) { return runPlanCommand(*flags, session); }};
+    return {command, [command, flags](Session& session) {
+                flags->givesEncoding = command->count("--encoding") > 0;
+                return runPlanCommand(*flags, session);
+            }};
 }
 
 } // namespace vdb_nns::cli

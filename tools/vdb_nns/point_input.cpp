@@ -61,4 +61,36 @@ PointFile readPoints(const InputFlags& input, const PointNeeds& needs, const Pro
     return file;
 }
 
+QueryInput readQuerySets(const InputFlags& inputFlags, const QueryFlags& flags, const QueryPlan& plan,
+                         const PointNeeds& needs, const ProgressSpan& span, Session& session,
+                         SearchReport& report)
+{
+    const PointFile file = readPoints(inputFlags, needs, span, session, report);
+    if (plan.isPlain()) {
+        QueryInput input;
+        input.candidates = file;
+        input.plan = plan;
+        return input;
+    }
+    const Stopwatch watch;
+    QueryInput input = readQueryInput(file, flags, plan, inputFlags, needs.hostMemoryBytes, &span.printer);
+    report.seconds.read += watch.seconds();
+    report.badRadii = input.badRadii;
+    if (input.queries) {
+        report.queries = input.queries->info();
+        if (needs.failNonfinite && report.queries->nonfinite > 0) {
+            throw CheckFailed(std::to_string(report.queries->nonfinite) + " of " +
+                              std::to_string(report.queries->points) +
+                              " queries have a NaN or infinite coordinate; --nonfinite skip leaves them out");
+        }
+    }
+    if (needs.failNonfinite && input.badRadii > 0) {
+        throw CheckFailed(
+            std::to_string(input.badRadii) +
+            " points have a radius that is NaN, infinite or not positive; --nonfinite skip takes them "
+            "as radii that reach nobody");
+    }
+    return input;
+}
+
 } // namespace vdb_nns::cli

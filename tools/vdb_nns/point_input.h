@@ -4,6 +4,7 @@
 #include "cli_options.h"
 #include "command.h"
 #include "progress_printer.h"
+#include "query_options.h"
 #include "report.h"
 #include "vdb_nns/point_file.h"
 
@@ -22,5 +23,11 @@ struct PointNeeds {
 ///         PointFile::read()
 PointFile readPoints(const InputFlags& input, const PointNeeds& needs, const ProgressSpan& span,
                      Session& session, SearchReport& report);
+
+/// IN, and what the flags about queries name; fills what the report says of that too.
+/// @throws as readPoints() and readQueryInput(); CheckFailed for a bad radius or query where such points fail
+QueryInput readQuerySets(const InputFlags& inputFlags, const QueryFlags& flags, const QueryPlan& plan,
+                         const PointNeeds& needs, const ProgressSpan& span, Session& session,
+                         SearchReport& report);
 
 } // namespace vdb_nns::cli

@@ -308,39 +308,6 @@ void fillReport(const SearchEngine& engine, const SearchFlags& flags, const JobR
     report.run = job.run;
 }
 
-// IN, and what the flags about queries name.
-QueryInput readInput(const SearchFlags& flags, const SearchPlan& plan, const PointNeeds& needs,
-                     const ProgressSpan& span, Session& session, SearchReport& report)
-{
-    const PointFile file = readPoints(flags.input, needs, span, session, report);
-    if (plan.query.isPlain()) {
-        QueryInput input;
-        input.candidates = file;
-        input.plan = plan.query;
-        return input;
-    }
-    const Stopwatch watch;
-    QueryInput input =
-        readQueryInput(file, flags.query, plan.query, flags.input, needs.hostMemoryBytes, &span.printer);
-    report.seconds.read += watch.seconds();
-    report.badRadii = input.badRadii;
-    if (input.queries) {
-        report.queries = input.queries->info();
-        if (needs.failNonfinite && report.queries->nonfinite > 0) {
-            throw CheckFailed(std::to_string(report.queries->nonfinite) + " of " +
-                              std::to_string(report.queries->points) +
-                              " queries have a NaN or infinite coordinate; --nonfinite skip leaves them out");
-        }
-    }
-    if (needs.failNonfinite && input.badRadii > 0) {
-        throw CheckFailed(
-            std::to_string(input.badRadii) +
-            " points have a radius that is NaN, infinite or not positive; --nonfinite skip takes them "
-            "as radii that reach nobody");
-    }
-    return input;
-}
-
 int searchFile(const SearchFlags& flags, const SearchPlan& plan, int threads, Session& session)
 {
     const Stopwatch total;
@@ -349,7 +316,8 @@ int searchFile(const SearchFlags& flags, const SearchPlan& plan, int threads, Se
     report.device.threads = threads;
     const PointNeeds needs{!flags.common.json.empty(), flags.nonfinite == "fail", flags.common.quiet,
                            plan.job.search.hostMemoryBytes, plan.query.hasRadii};
-    const QueryInput input = readInput(flags, plan, needs, {progress, 0, 0.2}, session, report);
+    const QueryInput input =
+        readQuerySets(flags.input, flags.query, plan.query, needs, {progress, 0, 0.2}, session, report);
     const PointFile& rows = input.queries ? *input.queries : input.candidates;
     checkAttribute(flags, plan, rows);
 
