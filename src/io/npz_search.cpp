@@ -35,7 +35,6 @@ std::optional<NpzSearchResult> searchToNpz(EngineState& engine, const SearchSets
 {
     requireKnown(options.form.values, ListValues::kDistance, "kind of values");
     requireKnown(options.form.order, RowOrder::kDistance, "order of rows");
-    if (sets.latticeCount() > 1) return std::nullopt; // rows of several come in orders of their own
     return isolated([&]() -> std::optional<NpzSearchResult> {
         OrderedSearch rows(engine, sets, search);
         const double rowBytes = rows.expectedNeighbors() * sizeof(std::uint32_t);
@@ -46,7 +45,7 @@ std::optional<NpzSearchResult> searchToNpz(EngineState& engine, const SearchSets
         const NpzShape shape{sets.rowCount(), sets.columnCount()};
         const CancelCheck cancel(search.progress, "search");
         OutputFile file(options.path, options.output);
-        const double expected = rows.expectedNeighbors() * static_cast<double>(shape.rows);
+        const double expected = rows.expectedPairs();
         auto pairs = static_cast<std::uint64_t>(expected);
         if (mustCount(file, shape, expected, options.form.values)) {
             pairs = rows.countPairs();

@@ -46,23 +46,30 @@ struct OrderedSearch::TaskOrder {
         std::uint32_t queries;
     };
 
-    std::vector<Piece> pieces;
+    struct PieceOfRun {
+        std::uint32_t run;
+        Piece piece;
+    };
+    std::vector<PieceOfRun> pieces;
     std::vector<Batch> batches;
     std::uint64_t windowRows = 0;
 
-    TaskOrder(const SparseGridData& grid, const std::vector<Piece>& unordered);
+    explicit TaskOrder(const SearchRuns& runs);
 };
 
 namespace {
 
-// How many particles of a grid have numbers below another.
+// How many queries have numbers below another.
 class NumberRanks {
 public:
-    explicit NumberRanks(const SparseGridData& grid) : mAreAll(grid.particleCount() == grid.view.size())
+    explicit NumberRanks(const SearchRuns& runs) : mAreAll(runs.rowCount() == runs.sets().rowCount())
     {
         if (mAreAll) return;
-        mWords.resize(grid.view.size() / 64 + 1);
-        for (const std::uint32_t number : grid.number) mWords[number / 64] |= std::uint64_t(1) << number % 64;
+        mWords.resize(runs.sets().rowCount() / 64 + 1);
+        runs.forEach([&](const SearchRun& run) {
+            for (const std::uint32_t number : run.queries.number)
+                mWords[number / 64] |= std::uint64_t(1) << number % 64;
+        });
         mBefore.reserve(mWords.size());
         std::uint64_t sum = 0;
         for (const std::uint64_t word : mWords) {
@@ -86,17 +93,22 @@ private:
 
 } // namespace
 
-OrderedSearch::TaskOrder::TaskOrder(const SparseGridData& grid, const std::vector<Piece>& unordered)
+OrderedSearch::TaskOrder::TaskOrder(const SearchRuns& runs)
 {
-    const NumberRanks ranks(grid);
+    const NumberRanks ranks(runs);
+    std::vector<PieceOfRun> unordered;
+    for (std::uint32_t r = 0; r < runs.size(); ++r) {
+        for (const Piece& piece : runs[r].pieces) unordered.push_back({r, piece});
+    }
     struct Numbered {
         std::uint32_t lowest, piece;
     };
     std::vector<Numbered> order(unordered.size());
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, unordered.size(), 16), [&](const auto& range) {
         for (std::size_t p = range.begin(); p < range.end(); ++p) {
-            const std::uint32_t* const numbers = grid.number.data();
-            order[p] = {*std::min_element(numbers + unordered[p].firstSlot, numbers + unordered[p].endSlot),
+            const std::uint32_t* const numbers = runs[unordered[p].run].queries.number.data();
+            const Piece& piece = unordered[p].piece;
+            order[p] = {*std::min_element(numbers + piece.firstSlot, numbers + piece.endSlot),
                         static_cast<std::uint32_t>(p)};
         }
     });
@@ -106,13 +118,14 @@ OrderedSearch::TaskOrder::TaskOrder(const SparseGridData& grid, const std::vecto
     std::uint64_t queries = 0;
     for (const Numbered& next : order) {
         windowRows = std::max(windowRows, queries - std::min(queries, ranks.of(next.lowest)));
-        const Piece& piece = unordered[next.piece];
+        const PieceOfRun& piece = unordered[next.piece];
         if (batches.empty() || batches.back().queries >= kBatchQueries)
             batches.push_back({next.lowest, pieces.size(), pieces.size(), 0});
         pieces.push_back(piece);
+        const std::uint32_t count = piece.piece.endSlot - piece.piece.firstSlot;
         batches.back().endPiece = pieces.size();
-        batches.back().queries += piece.endSlot - piece.firstSlot;
-        queries += piece.endSlot - piece.firstSlot;
+        batches.back().queries += count;
+        queries += count;
     }
 }
 
@@ -192,7 +205,8 @@ public:
     Rows(OrderedSearch& search, std::uint64_t windowBytes, NeighborListsData& result,
          RowRunConsumer& consumer)
         : mEngine(search.mEngine),
-          mRun(search.mRun),
+          mRuns(search.mRuns),
+          mCancel(search.mOptions.progress, "search"),
           mOrder(*search.mOrder),
           mResult(result),
           mConsumer(consumer),
@@ -203,7 +217,7 @@ public:
           mDone(mOrder.batches.size(), 0),
           mMostBytes(search.mostBytesBegun(windowBytes))
     {
-        const std::size_t particles = mRun.queries.particleCount();
+        const std::size_t particles = mRuns.rowCount();
         mPlaces = mEngine.scratch.leafOf.data(); // idle too
         if (mEngine.scratch.leafOf.size() < particles) {
             mOwnPlaces.resizeDiscarding(particles);
@@ -266,7 +280,7 @@ private:
                 } else {
                     mChanged.wait_for(lock, std::chrono::milliseconds(10));
                     lock.unlock(); // check() calls the caller's Progress
-                    mRun.cancel.check();
+                    mCancel.check();
                     lock.lock();
                 }
             }
@@ -304,7 +318,7 @@ private:
             isWhole = mScannedPairs >= kRunPairs || mScanned - mClaimed == kRunRows;
         }
         if (!isWhole && (mScanned < mAll || mClaimed == mAll)) return false;
-        claim = {mRuns++, mClaimed, mScanned, mClaimedPairs, mScannedPairs};
+        claim = {mRunsClaimed++, mClaimed, mScanned, mClaimedPairs, mScannedPairs};
         mClaimed = mScanned;
         mClaimedPairs += mScannedPairs;
         mScannedPairs = 0;
@@ -313,26 +327,35 @@ private:
 
     void makeBatch(const TaskOrder::Batch& batch, RowMaker& maker)
     {
+        const TaskOrder::PieceOfRun* const pieces = mOrder.pieces.data();
+        for (std::size_t first = batch.firstPiece, end; first < batch.endPiece; first = end) {
+            for (end = first + 1; end < batch.endPiece && pieces[end].run == pieces[first].run;) ++end;
+            makePieces(mRuns[pieces[first].run], pieces + first, end - first, maker);
+        }
+    }
+
+    // All of one run.
+    void makePieces(const SearchRun& run, const TaskOrder::PieceOfRun* pieces, std::size_t count,
+                    RowMaker& maker)
+    {
         ThreadState& state = mEngine.states.local();
-        const SparseGridData& grid = mRun.queries;
-        const std::size_t count = batch.endPiece - batch.firstPiece;
-        const Piece* const pieces = mOrder.pieces.data() + batch.firstPiece;
+        const SparseGridData& grid = run.queries;
         std::vector<Vec3i> origins(count);
         std::vector<std::uint32_t> wanted(count);
         for (std::size_t k = 0; k < count; ++k) {
-            origins[k] = grid.leafOrigins[pieces[k].leaf];
-            wanted[k] = leavesInReach(grid.leaves[pieces[k].leaf].occupancy, grid.reach());
+            origins[k] = grid.leafOrigins[pieces[k].piece.leaf];
+            wanted[k] = leavesInReach(grid.leaves[pieces[k].piece.leaf].occupancy, grid.reach());
         }
         state.neighborhoods.resize(count);
-        mRun.candidates.topology.neighborhoods({origins.data(), count}, wanted.data(),
-                                               state.neighborhoods.data());
+        run.candidates.topology.neighborhoods({origins.data(), count}, wanted.data(),
+                                              state.neighborhoods.data());
         for (std::size_t k = 0; k < count; ++k) {
-            mRun.cancel.check();
-            const Piece& piece = pieces[k];
-            maker.make(mRun, {piece.leaf, piece.firstSlot, piece.endSlot, state.neighborhoods[k].leaf}, state,
-                       mPlaces, mResult.rowCount.data());
+            mCancel.check();
+            const Piece& piece = pieces[k].piece;
+            maker.make(run, {piece.leaf, piece.firstSlot, piece.endSlot, state.neighborhoods[k].leaf}, state,
+                       mPlaces + run.firstRow, mResult.rowCount.data() + run.firstRow);
             for (std::uint32_t slot = piece.firstSlot; slot < piece.endSlot; ++slot)
-                mResult.slotOf[grid.number[slot]] = slot;
+                mResult.slotOf[grid.number[slot]] = run.firstRow + slot;
         }
     }
 
@@ -361,11 +384,12 @@ private:
         mConsumer.take({claim.index, claim.firstRow, rowCount, claim.firstPair, claim.pairs, counts.data(),
                         rows.data()});
         for (const Held& h : held) mWindow.release(h.chunk, h.rows);
-        mRun.cancel.update(static_cast<double>(claim.endRow) / static_cast<double>(mAll));
+        mCancel.update(static_cast<double>(claim.endRow) / static_cast<double>(mAll));
     }
 
     EngineState& mEngine;
-    const SearchRun& mRun;
+    const SearchRuns& mRuns;
+    const CancelCheck mCancel;
     const TaskOrder& mOrder;
     NeighborListsData& mResult;
     RowRunConsumer& mConsumer;
@@ -382,18 +406,23 @@ private:
     std::size_t mBegun = 0, mUnderWay = 0, mFirstUndone = 0; // batches
     std::vector<char> mDone;
     const std::uint64_t mMostBytes; // of rows that are held as another batch begins
-    std::size_t mRuns = 0;
+    std::size_t mRunsClaimed = 0;
     std::uint32_t mClaimed = 0, mScanned = 0; // rows before them
     std::uint64_t mClaimedPairs = 0,
                   mScannedPairs = 0; // of the claimed rows; of those that were scanned after them
 };
 
 OrderedSearch::OrderedSearch(EngineState& engine, const SearchSets& sets, const SearchOptions& options)
-    : mEngine(engine), mOptions(options), mRuns(setsWithin(sets, options.radius), options), mRun(mRuns[0])
+    : mEngine(engine), mOptions(options), mRuns(setsWithin(sets, options.radius), options)
 {
-    mOrder = std::make_unique<TaskOrder>(mRun.queries, mRun.pieces);
+    mOrder = std::make_unique<TaskOrder>(mRuns);
     mEngine.beginStatistics(mOptions);
-    mExpectedNeighbors = sampleRows(mRun, kSampledQueries, mEngine.states.local()).entriesEach();
+    double entries = 0;
+    mRuns.forEach([&](const SearchRun& run) {
+        const RowSample sample = sampleRows(run, kSampledQueries, mEngine.states.local());
+        entries += sample.entriesEach() * static_cast<double>(run.queries.particleCount());
+    });
+    mExpectedNeighbors = entries / static_cast<double>(std::max<std::uint64_t>(1, mRuns.rowCount()));
 }
 
 OrderedSearch::~OrderedSearch() = default;
@@ -416,23 +445,28 @@ std::uint64_t OrderedSearch::mostBytesBegun(std::uint64_t windowBytes) const
 std::uint64_t OrderedSearch::countPairs()
 {
     mEngine.beginStatistics(mOptions);
-    PageArray<std::uint32_t> counts; // by slot
-    counts.resizeDiscarding(mRun.queries.particleCount());
-    const CancelCheck cancel(mOptions.progress, "count");
-    forEachTask(mRun.queries, mRun.candidates, mRun.pieces, mEngine.states, cancel,
-                [&](ThreadState& state, const SearchTask& task) {
-                    state.sink.slotBase = 0;
-                    state.sink.rowCount = counts.data();
-                    mRun.makeRows(RowKind::kCount, task, state, state.sink);
-                });
-    const std::uint32_t most = mRun.context.sets.nearest;
-    if (most == 0) return mEngine.sumStatistics().pairs;
+    PageArray<std::uint32_t> counts; // by row
+    counts.resizeDiscarding(mRuns.rowCount());
+    const CancelCheck counting(mOptions.progress, "count");
+    mRuns.forEach([&](const SearchRun& run) {
+        // Each of several tells its own share.
+        const CancelCheck& cancel = mRuns.size() > 1 ? run.cancel : counting;
+        forEachTask(run.queries, run.candidates, run.pieces, mEngine.states, cancel,
+                    [&](ThreadState& state, const SearchTask& task) {
+                        state.sink.slotBase = 0;
+                        state.sink.rowCount = counts.data() + run.firstRow;
+                        run.makeRows(RowKind::kCount, task, state, state.sink);
+                    });
+    });
+    if (mOptions.nearest == 0) return mEngine.sumStatistics().pairs;
     std::uint64_t pairs = 0; // of rows that are cut; a query in its own is not among the nearest
     const SearchSetsData& sets = mRuns.sets().data();
-    for (std::size_t slot = 0; slot < counts.size(); ++slot) {
-        const std::uint32_t self = mOptions.includeSelf && sets.isCandidate(mRun.queries.number[slot]);
-        pairs += std::min(counts[slot] - self, most) + self;
-    }
+    mRuns.forEach([&](const SearchRun& run) {
+        for (std::size_t slot = 0; slot < run.queries.particleCount(); ++slot) {
+            const std::uint32_t self = mOptions.includeSelf && sets.isCandidate(run.queries.number[slot]);
+            pairs += std::min(counts[run.firstRow + slot] - self, mOptions.nearest) + self;
+        }
+    });
     return pairs;
 }
 

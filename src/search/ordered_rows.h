@@ -33,7 +33,7 @@ public:
     virtual void take(const RowRun& run) = 0;
 };
 
-// A search of two sets on one lattice that is taken in that order. Lives in the thread that made it; `options` as for
+// A search of two sets that is taken in that order. Lives in the thread that made it; `options` as for
 // SearchEngine::search(), without encoding and memory.
 class OrderedSearch {
 public:
@@ -45,6 +45,8 @@ public:
     std::uint64_t windowRows() const;
     // Neighbors of a query, from a sample of them.
     double expectedNeighbors() const { return mExpectedNeighbors; }
+
+    double expectedPairs() const { return mExpectedNeighbors * static_cast<double>(mRuns.rowCount()); }
 
     // All pairs, exactly; a pass that counts.
     std::uint64_t countPairs();
@@ -65,7 +67,6 @@ private:
     EngineState& mEngine;
     const SearchOptions mOptions;
     const SearchRuns mRuns;
-    const SearchRun& mRun;
     std::unique_ptr<TaskOrder> mOrder;
     double mExpectedNeighbors = 0;
     bool mWantsChecksum = false;

@@ -11,6 +11,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cmath>
 #include <csignal>
 #include <cstdlib>
 #include <cstring>
@@ -61,10 +62,11 @@ protected:
     }
 
     // Writes both ways; all but the lists themselves must be the same.
-    void expectSame(const ParticleView& view, double radius, const std::string& name)
+    void expectSame(const ParticleView& view, const Radius& radius, const std::string& name,
+                    const SearchOptions& search = {})
     {
         SearchEngine holding;
-        const NeighborLists lists = holding.findNeighbors(view, radius);
+        const NeighborLists lists = holding.search(view, view, radius, search);
         for (const ListValues values : {ListValues::kConnectivity, ListValues::kDistance}) {
             writeNpz(path("lists.npz"), lists, values, {true});
             for (const int threads : {1, 4}) {
@@ -73,7 +75,8 @@ protected:
                     EngineState engine;
                     NpzSearchOptions how = options(values);
                     how.checksum = true;
-                    const std::optional<NpzSearchResult> result = searchToNpz(engine, lists.grid(), {}, how);
+                    const std::optional<NpzSearchResult> result =
+                        searchToNpz(engine, lists.sets(), search, how);
                     ASSERT_TRUE(result);
                     EXPECT_TRUE(contents(path("direct.npz")) == contents(path("lists.npz")));
                     EXPECT_EQ(result->checksum, lists.checksum());
@@ -84,6 +87,7 @@ protected:
                     EXPECT_EQ(found.max, truth.max);
                     EXPECT_EQ(found.mean, truth.mean);
                     EXPECT_EQ(found.isolated, truth.isolated);
+                    EXPECT_EQ(found.shortened, truth.shortened);
                 });
             }
         }
@@ -133,6 +137,32 @@ TEST_F(NpzSearch, HasTheSameBytesForScenesInAnyOrder)
 }
 
 // All rows of one point are longer than a run.
+// Rows of several lattices, of which those of one are between those of another.
+TEST_F(NpzSearch, HasTheSameBytesForRadiiOfParticles)
+{
+    constexpr std::size_t kCount = 20000;
+    std::mt19937 random(5);
+    std::uniform_real_distribution<> place(0, 1);
+    std::vector<double> positions, radii;
+    for (std::size_t i = 0; i < 3 * kCount; ++i) positions.push_back(place(random));
+    for (std::size_t i = 0; i < kCount; ++i) radii.push_back(0.08 * std::exp2(-5 * place(random)));
+    std::sort(positions.begin(), positions.end()); // a diagonal: numbered along space
+    radii[7] = std::nan("");
+    const ParticleView view = viewOf(positions);
+    Radius radius;
+    radius.ofQueries = radius.ofCandidates = {radii.data(), radii.size()};
+    for (const RadiusMode mode : {RadiusMode::kGather, RadiusMode::kScatter, RadiusMode::kSymmetric}) {
+        radius.mode = mode;
+        EXPECT_GT(SearchEngine().sort(view, view, radius).latticeCount(), 3u);
+        SearchOptions search;
+        for (const std::uint32_t nearest : {0u, 5u}) {
+            search.nearest = nearest;
+            search.includeSelf = nearest > 0;
+            expectSame(view, radius, "mode " + std::to_string(static_cast<int>(mode)), search);
+        }
+    }
+}
+
 TEST_F(NpzSearch, HasTheSameBytesForLongRows)
 {
     std::vector<double> positions(3 * 2000, 1.0);
