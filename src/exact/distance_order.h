@@ -18,6 +18,9 @@ public:
 
     void order(std::uint32_t query, std::uint32_t* numbers, std::size_t count);
 
+    // Leaves the nearest `most`, at least 1, of a row of more, in the order that they have.
+    void keepNearest(std::uint32_t query, std::vector<std::uint32_t>& numbers, std::size_t most);
+
 private:
     struct Neighbor {
         double square;
@@ -25,6 +28,8 @@ private:
     };
     const ExactTest* mExact;
     std::vector<Neighbor> mRow;
+    std::vector<double> mSquares;
+    std::vector<std::uint32_t> mDoubtful;
 };
 
 } // namespace vdb_nns

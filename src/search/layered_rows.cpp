@@ -168,16 +168,13 @@ void LayeredRows::keepNearest(const SearchRun& run, std::uint32_t query, ThreadS
     const bool hasSelf = self != mRow.end();
     if (mRow.size() - hasSelf <= sets.nearest) return;
     ++state.statistics.shortened;
-    mOrdered = mRow;
-    if (hasSelf) mOrdered.erase(mOrdered.begin() + (self - mRow.begin()));
-    DistanceOrder(run.exact).order(query, mOrdered.data(), mOrdered.size());
-    mOrdered.resize(sets.nearest);
-    if (hasSelf) mOrdered.push_back(query);
-    std::sort(mOrdered.begin(), mOrdered.end());
-    const auto isFar = [&](std::uint32_t number) {
-        return !std::binary_search(mOrdered.begin(), mOrdered.end(), number);
-    };
-    mRow.erase(std::remove_if(mRow.begin(), mRow.end(), isFar), mRow.end());
+    mBeforeSelf.assign(mRow.begin(), self);
+    if (hasSelf) mRow.erase(self);
+    mOrder->keepNearest(query, mRow, sets.nearest);
+    if (!hasSelf) return;
+    std::size_t place = 0; // of those before it, the kept ones are before it still
+    for (const std::uint32_t number : mBeforeSelf) place += place < mRow.size() && mRow[place] == number;
+    mRow.insert(mRow.begin() + static_cast<std::ptrdiff_t>(place), query);
 }
 
 void LayeredRows::joinNumbers(const SearchRun& run, const SearchTask& task, ThreadState& state, RowSink& sink)
@@ -224,6 +221,7 @@ void LayeredRows::make(const SearchRun& run, RowKind kind, const SearchTask& tas
                        RowSink& sink)
 {
     for (const std::unique_ptr<Share>& share : mShares) share->isEmpty = true;
+    if (run.context.sets.nearest > 0) mOrder.emplace(run.exact);
     if (kind == RowKind::kMask) {
         sink.grow(sink, listWork(run, task).maskBytes / sizeof(std::uint32_t));
         sink.taskBegin = sink.out;

@@ -79,7 +79,8 @@ private:
 
     std::vector<std::unique_ptr<Share>> mShares; // of the layers
     bool mMayBeFull = false;                     // as long as fewer rows can be made at once
-    std::vector<std::uint32_t> mRow, mOrdered;
+    std::vector<std::uint32_t> mRow, mBeforeSelf;
+    std::optional<DistanceOrder> mOrder; // of the run of the task
 };
 
 } // namespace vdb_nns
