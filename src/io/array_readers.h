@@ -6,6 +6,7 @@
 #pragma once
 
 #include "util/cancel.h"
+#include "vdb_nns/point_file.h"
 #include "vdb_nns/types.h"
 
 #include <cstddef>
@@ -82,6 +83,18 @@ ReadArray parseNpz(const ArrayFile& file);
 // The values of an .npy of shape (N,) or (N, 1) with floats of 4 or 8 bytes, of either endianness. Throws InputError for
 // others, and for another N than `count`.
 std::vector<double> parseNpyValues(const ArrayFile& file, std::uint64_t count);
+
+// What an .npy holds for each of so many points; only its header is looked at, and the values need not follow.
+StoredValue describeNpyValues(const std::string& path, const std::string& name, FileBytes bytes,
+                              std::uint64_t points);
+
+// Reads the values of such an .npy, appends them as an attribute or a group.
+void readNpyValues(const ArrayFile& file, const StoredValue& which, std::uint64_t points,
+                   PointValues& values);
+
+// Of all arrays but the one that the positions are read from.
+std::vector<StoredValue> listNpzArrays(const ArrayFile& file, std::uint64_t points);
+PointValues readNpzArrays(const ArrayFile& file, const std::vector<StoredValue>& which, std::uint64_t points);
 
 // The Stanford polygon format: ascii, binary little-endian or big-endian; x y z of element `vertex` of any type of number.
 // Other elements and properties, lists too, are walked over; behind whole vertices they may be damaged, and a note

@@ -5,6 +5,7 @@
 #include "io/byte_source.h"
 #include "io/vdb_file.h"
 #include "points/particle_source.h"
+#include "points/value_check.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
 #include "util/memory.h"
@@ -19,7 +20,9 @@
 #include <cmath>
 #include <cstring>
 #include <filesystem>
+#include <initializer_list>
 #include <limits>
+#include <memory>
 #include <mutex>
 #include <optional>
 #include <utility>
@@ -32,7 +35,8 @@ struct PointFile::Data {
     PointFileInfo info;         // all but the pass over the positions
     std::uint64_t fileBytes = 0;
     std::uint64_t hostMemoryBytes = 0; // PointFileOptions::hostMemoryBytes
-    std::mutex mutex;                  // of what follows
+    ArrayChoice choice;
+    std::mutex mutex; // of what follows
     std::optional<PointFileInfo> fullInfo;
 };
 
@@ -246,17 +250,70 @@ void checkUnchanged(const InputFile& file, std::uint64_t bytes)
 
 // parse(ArrayFile) of a whole file.
 template <typename Parse>
-std::vector<double> parseValues(const InputFile& file, std::uint64_t allowedBytes, const CancelCheck& cancel,
-                                const Parse& parse)
+auto parseValues(const InputFile& file, const ArrayChoice& choice, std::uint64_t allowedBytes,
+                 const CancelCheck& cancel, const Parse& parse)
 {
     cancel.update(0);
     checkPointsFit(file.name(), file.size(), allowedBytes);
     const PageBlock block = readBytes(file, cancel);
     const FileBytes bytes(static_cast<const unsigned char*>(block.data()),
                           static_cast<std::size_t>(file.size()));
-    std::vector<double> values = parse(ArrayFile{file.name(), bytes, {}, allowedBytes - file.size(), cancel});
+    auto values = parse(ArrayFile{file.name(), bytes, choice, allowedBytes - file.size(), cancel});
     cancel.update(1);
     return values;
+}
+
+// The second pass over a .ply found as many vertices as the first one.
+void checkVertices(const PointFile::Data& data, std::size_t vertices)
+{
+    if (vertices == data.view.size()) return;
+    failChanged(data.info.path, "it had " + std::to_string(data.view.size()) + " vertices and has " +
+                                    std::to_string(vertices));
+}
+
+// How a property of a .ply is read, from its declaration.
+StoredValue plyValue(const AttributeInfo& property, const std::vector<AttributeInfo>& all)
+{
+    StoredValue value;
+    value.name = property.name;
+    value.type = property.type;
+    const auto isOneOf = [&](std::initializer_list<const char*> types) {
+        return std::find(types.begin(), types.end(), property.type) != types.end();
+    };
+    const auto hasName = [&](const AttributeInfo& other) { return other.name == property.name; };
+    if (std::count_if(all.begin(), all.end(), hasName) > 1) {
+        value.problem = "is there twice";
+    } else if (isOneOf({"float", "float32"})) {
+        value.readAs = AttributeType::kFloat;
+    } else if (isOneOf({"double", "float64"})) {
+        value.readAs = AttributeType::kDouble;
+    } else if (isOneOf({"uint", "uint32"})) {
+        value.readAs = AttributeType::kInt64;
+    } else if (property.type.rfind("list", 0) == 0) {
+        value.problem = "has type " + property.type + "; lists are not carried";
+    } else {
+        value.readAs = AttributeType::kInt32;
+    }
+    return value;
+}
+
+template <typename To>
+PointAttribute narrowed(const StoredValue& which, const std::vector<double>& values)
+{
+    const auto owner = std::make_shared<std::vector<To>>(values.size());
+    std::transform(values.begin(), values.end(), owner->begin(),
+                   [](double value) { return static_cast<To>(value); });
+    return {which.name, *which.readAs, values.size(), {owner, owner->data()}};
+}
+
+// A property of a .ply, whose values the doubles hold exactly.
+PointAttribute plyAttribute(const StoredValue& which, std::vector<double>&& values)
+{
+    if (*which.readAs == AttributeType::kFloat) return narrowed<float>(which, values);
+    if (*which.readAs == AttributeType::kInt32) return narrowed<std::int32_t>(which, values);
+    if (*which.readAs == AttributeType::kInt64) return narrowed<std::int64_t>(which, values);
+    const auto owner = std::make_shared<std::vector<double>>(std::move(values));
+    return {which.name, AttributeType::kDouble, owner->size(), {owner, owner->data()}};
 }
 
 } // namespace
@@ -281,6 +338,7 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
     const InputFile file(path);
     data.fileBytes = file.size();
     data.hostMemoryBytes = options.hostMemoryBytes;
+    data.choice = {options.columns, options.array};
     const std::uint64_t allowedBytes = allowedMemory(options.hostMemoryBytes);
     const auto readFile = [&] {
         const CancelCheck cancel(options.progress, "read");
@@ -290,8 +348,7 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
         } else {
             cancel.update(0);
             checkPointsFit(path, file.size(), allowedBytes);
-            data.view =
-                readArray(file, *array, {options.columns, options.array}, allowedBytes, cancel, data.info);
+            data.view = readArray(file, *array, data.choice, allowedBytes, cancel, data.info);
             cancel.update(1);
         }
     };
@@ -346,14 +403,68 @@ std::vector<double> PointFile::readScalars(const std::string& name, Progress* pr
         checkUnchanged(file, data.fileBytes);
         const std::uint64_t allowedBytes = allowedMemory(data.hostMemoryBytes);
         if (data.vdb) return data.vdb->readScalars(file, name, allowedBytes, cancel);
-        std::vector<double> values = parseValues(file, allowedBytes, cancel, [&](const ArrayFile& array) {
-            return parsePlyProperty(array, name);
-        });
-        if (values.size() != data.view.size()) {
-            failChanged(path, "it had " + std::to_string(data.view.size()) + " vertices and has " +
-                                  std::to_string(values.size()));
-        }
+        std::vector<double> values =
+            parseValues(file, data.choice, allowedBytes, cancel,
+                        [&](const ArrayFile& array) { return parsePlyProperty(array, name); });
+        checkVertices(data, values.size());
         return values;
+    });
+}
+
+std::vector<StoredValue> PointFile::listValues(Progress* progress) const
+{
+    const Data& data = *mData;
+    if (!data.vdb && data.info.format != "npz") {
+        std::vector<StoredValue> list;
+        for (const AttributeInfo& property : data.info.attributes) {
+            if (property.name != "x" && property.name != "y" && property.name != "z")
+                list.push_back(plyValue(property, data.info.attributes));
+        }
+        return list;
+    }
+    return isolated([&] {
+        const CancelCheck cancel(progress, "read");
+        const InputFile file(data.info.path);
+        checkUnchanged(file, data.fileBytes);
+        if (data.vdb) return data.vdb->listValues(file, cancel);
+        return parseValues(file, data.choice, allowedMemory(data.hostMemoryBytes), cancel,
+                           [&](const ArrayFile& array) { return listNpzArrays(array, data.view.size()); });
+    });
+}
+
+PointValues PointFile::readValues(const std::vector<StoredValue>& which, Progress* progress) const
+{
+    const Data& data = *mData;
+    for (const StoredValue& value : which) {
+        if (!value.isGroup && !value.readAs)
+            throw InvalidInput(data.info.path + ": '" + value.name + "' " + value.problem);
+    }
+    if (which.empty()) return {};
+    return isolated([&] {
+        const CancelCheck cancel(progress, "read");
+        const InputFile file(data.info.path);
+        checkUnchanged(file, data.fileBytes);
+        const std::uint64_t allowedBytes = allowedMemory(data.hostMemoryBytes);
+        if (data.vdb) {
+            PointValues values = data.vdb->readAttributes(file, which, allowedBytes, cancel);
+            for (const StoredValue& value : which) {
+                if (!value.isGroup) continue;
+                const auto members = std::make_shared<std::vector<std::uint8_t>>(
+                    data.vdb->readGroups(file, value.name, allowedBytes, cancel));
+                values.groups.push_back({value.name, members->size(), {members, members->data()}});
+            }
+            return values;
+        }
+        return parseValues(file, data.choice, allowedBytes, cancel, [&](const ArrayFile& array) {
+            if (data.info.format == "npz") return readNpzArrays(array, which, data.view.size());
+            PointValues values;
+            for (const StoredValue& value : which) {
+                std::vector<double> numbers = parsePlyProperty(array, value.name);
+                checkVertices(data, numbers.size());
+                values.attributes.push_back(plyAttribute(value, std::move(numbers)));
+            }
+            return values;
+        });
     });
 }
 
@@ -376,7 +487,7 @@ std::vector<double> readRadiusFile(const std::string& path, std::uint64_t count,
 {
     return isolated([&] {
         const CancelCheck cancel(progress, "read");
-        return parseValues(InputFile(path), availableMemoryBytes(), cancel,
+        return parseValues(InputFile(path), {}, availableMemoryBytes(), cancel,
                            [&](const ArrayFile& array) { return parseNpyValues(array, count); });
     });
 }
@@ -384,15 +495,20 @@ std::vector<double> readRadiusFile(const std::string& path, std::uint64_t count,
 void PointFile::writeVdb(const std::string& path, Span<const std::uint32_t> counts, const std::string& prefix,
                          const OutputOptions& options, Progress* progress) const
 {
+    const PointAttribute attribute = countAttribute(mData->info.path + ": ", prefix + "count", counts);
+    writeVdb(path, PointValues{{attribute}, {}}, options, progress);
+}
+
+void PointFile::writeVdb(const std::string& path, const PointValues& values, const OutputOptions& options,
+                         Progress* progress) const
+{
     if (!mData->vdb) {
         throw InvalidInput(mData->info.path +
                            ": result attributes are written to .vdb files only, and this is a ." +
                            mData->info.format + " file; write lists (.npz) instead");
     }
-    isolated([&] {
-        writeVdbResult(mData->info.path, mData->vdb->chosenGrid(), path, counts, prefix + "count", options,
-                       progress);
-    });
+    isolated(
+        [&] { writeVdbResult(mData->info.path, mData->vdb->chosenGrid(), path, values, options, progress); });
 }
 
 } // namespace vdb_nns

@@ -16,6 +16,8 @@
 #include <algorithm>
 #include <cstring>
 #include <map>
+#include <memory>
+#include <optional>
 #include <set>
 #include <utility>
 #include <vector>
@@ -180,6 +182,78 @@ void checkScalar(const std::string& text, const VdbPointLayout& layout, const st
                        insteadText(name, attributeNames(layout), "attributes"));
 }
 
+// The type that values of an attribute are read as; empty where none holds them.
+std::optional<AttributeType> readableType(const VdbDescriptor::Attribute& attribute)
+{
+    const VdbAttributeType& type = attribute.type;
+    if (!type.isKnown || type.codec == VdbCodec::kUnitVector) return std::nullopt;
+    const std::size_t width = type.components;
+    switch (type.scalar) {
+    case VdbScalar::kFloat:
+        if (width == 1) return AttributeType::kFloat;
+        if (width == 3) return AttributeType::kVec3s;
+        if (width == 9) return AttributeType::kMat3s;
+        return std::nullopt;
+    case VdbScalar::kDouble:
+        if (width == 1) return AttributeType::kDouble;
+        if (width == 3) return AttributeType::kVec3d;
+        return std::nullopt;
+    case VdbScalar::kBool:
+    case VdbScalar::kInt8:
+    case VdbScalar::kInt16:
+    case VdbScalar::kInt32:
+        if (width == 1) return AttributeType::kInt32;
+        return std::nullopt;
+    case VdbScalar::kInt64:
+        if (width == 1) return AttributeType::kInt64;
+        return std::nullopt;
+    case VdbScalar::kUint8:
+    case VdbScalar::kUint32:
+        return std::nullopt; // groups and texts
+    }
+    return std::nullopt;
+}
+
+// Why the values of a leaf's attribute cannot be read together with those of the leaves before, which are read as `before`.
+std::string problemOf(const VdbDescriptor::Attribute& attribute, const VdbArray& array,
+                      const std::optional<AttributeType>& before)
+{
+    const std::optional<AttributeType> type = readableType(attribute);
+    if (!type)
+        return "has type " + typeText(attribute) +
+               ", which is none of float, double, int32, int64, vec3s, vec3d and mat3s";
+    if (before && *before != *type) return "has not the same type in all leaves";
+    if (!array.hasConstantStride || array.stride != 1) return "has several values a point";
+    return {};
+}
+
+// Smaller integers as int32.
+template <typename Number>
+void widen(const VdbValues& from, std::int32_t* out)
+{
+    const Number* const numbers = static_cast<const Number*>(from.bytes.data());
+    std::copy(numbers, numbers + from.count, out);
+}
+
+PointAttribute attributeOf(const StoredValue& which, VdbValues&& values, std::size_t points)
+{
+    const AttributeType type = *which.readAs;
+    PageBlock block;
+    const std::size_t bytes = points * attributeBytes(type);
+    const bool isWhole = values.type.isKnown && values.type.bytes() == attributeBytes(type);
+    if (isWhole) {
+        block = std::move(values.bytes);
+    } else if (bytes > 0) {
+        block = PageBlock(bytes); // zeros, where no leaf with points has the attribute
+        auto* const out = static_cast<std::int32_t*>(block.data());
+        if (values.type.isKnown && values.type.scalar == VdbScalar::kInt16) widen<std::int16_t>(values, out);
+        if (values.type.isKnown && values.type.scalar == VdbScalar::kInt8) widen<std::int8_t>(values, out);
+        if (values.type.isKnown && values.type.scalar == VdbScalar::kBool) widen<std::uint8_t>(values, out);
+    }
+    const auto owner = std::make_shared<PageBlock>(std::move(block));
+    return {which.name, type, points, std::shared_ptr<const void>(owner, owner->data())};
+}
+
 void checkFits(const std::string& path, std::uint64_t neededBytes, std::uint64_t allowedBytes)
 {
     if (neededBytes <= allowedBytes) return;
@@ -297,6 +371,55 @@ std::vector<double> VdbFile::readScalars(const ByteSource& file, const std::stri
         std::copy(doubles, doubles + result.size(), result.begin());
     }
     cancel.update(1);
+    return result;
+}
+
+std::vector<StoredValue> VdbFile::listValues(const ByteSource& file, const CancelCheck& cancel) const
+{
+    const Reopened grid = reopen(file, cancel);
+    const VdbPointLayout& layout = grid.layout;
+    std::vector<StoredValue> list;
+    std::map<std::string, std::size_t> places; // in the list
+    for (std::size_t leaf = 0; leaf < layout.leaves.size(); ++leaf) {
+        const VdbDescriptor& descriptor = layout.descriptor(leaf);
+        for (std::size_t k = 0; k < layout.arrayCount(leaf); ++k) {
+            const VdbDescriptor::Attribute& attribute = descriptor.attributes[k];
+            if (attribute.name == "P" || isGroupArray(attribute)) continue;
+            const auto [place, isNew] = places.try_emplace(attribute.name, list.size());
+            if (isNew)
+                list.push_back({attribute.name, typeText(attribute), false, readableType(attribute), {}});
+            StoredValue& value = list[place->second];
+            if (value.problem.empty())
+                value.problem = problemOf(attribute, layout.array(leaf, k), value.readAs);
+        }
+    }
+    for (StoredValue& value : list) {
+        if (!value.problem.empty()) value.readAs.reset();
+    }
+    for (const std::string& group : groupNames(layout)) list.push_back({group, "group", true, {}, {}});
+    cancel.update(1);
+    return list;
+}
+
+PointValues VdbFile::readAttributes(const ByteSource& file, const std::vector<StoredValue>& which,
+                                    std::uint64_t allowedBytes, const CancelCheck& cancel) const
+{
+    const Reopened grid = reopen(file, cancel);
+    std::uint64_t valueBytes = 0, largest = 0;
+    for (const StoredValue& value : which) {
+        if (value.isGroup) continue;
+        valueBytes += attributeBytes(*value.readAs);
+        largest = std::max<std::uint64_t>(largest, attributeBytes(*value.readAs));
+    }
+    checkFits(file.name(), (valueBytes + largest) * mView.size(), allowedBytes);
+    const VdbPointReader reader(file, grid.layout, grid.part);
+    const VdbLeafRange all{0, grid.layout.leaves.size()};
+    PointValues result;
+    for (const StoredValue& value : which) {
+        if (value.isGroup) continue;
+        result.attributes.push_back(
+            attributeOf(value, reader.readAttribute(all, value.name, grid.points, cancel), mView.size()));
+    }
     return result;
 }
 
