@@ -72,7 +72,7 @@ struct PointFileOptions {
     /// than (N, 3), or of the fields of its records. Empty: what the file says.
     std::vector<std::uint32_t> columns = {};
 
-    /// Name of the array of an .npz; empty: the only one.
+    /// Name of the array of an .npz that holds the positions; empty: the only one, else the one named `positions`.
     std::string array = {};
 };
 

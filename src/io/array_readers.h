@@ -36,7 +36,7 @@ struct PositionArray {
 struct ArrayChoice {
     std::vector<std::uint32_t>
         columns;       // numbers of those that are x, y and z, from 0; empty: the reader's rule
-    std::string array; // name of the array of an .npz; empty: the only one
+    std::string array; // name of the array of an .npz; empty: the only one, or `positions`
 };
 
 // A file in memory, and what a reader is told about reading it.

@@ -18,6 +18,7 @@
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -82,19 +83,20 @@ public:
 
     double largestRounding(const CancelCheck& cancel) const
     {
-        return tbb::parallel_reduce(
-            tbb::blocked_range<std::size_t>(0, size(), kTask), 0.0,
-            [&](const tbb::blocked_range<std::size_t>& range, double largest) {
-                cancel.check();
-                for (std::size_t i = range.begin(); i < range.end(); ++i)
-                    largest = std::max(largest, rounding(i));
-                return largest;
-            },
-            [](double a, double b) { return std::max(a, b); });
+        return mEdge * std::sqrt(tbb::parallel_reduce(
+                           tbb::blocked_range<std::size_t>(0, size(), kTask), 0.0,
+                           [&](const tbb::blocked_range<std::size_t>& range, double largest) {
+                               cancel.check();
+                               for (std::size_t i = range.begin(); i < range.end(); ++i)
+                                   largest = std::max(largest, squaredRounding(i));
+                               return largest;
+                           },
+                           [](double a, double b) { return std::max(a, b); }));
     }
 
 private:
-    double rounding(std::size_t i) const
+    // Square of the rounding of a position, in voxels; above 0 where there is any.
+    double squaredRounding(std::size_t i) const
     {
         double xyz[3], error[3];
         mPositions.read(number(i), 1, xyz);
@@ -103,7 +105,9 @@ private:
             error[k] = std::fma(mEdge, static_cast<double>(c.offset), -c.rest);
         }
         if (error[0] == 0 && error[1] == 0 && error[2] == 0) return 0;
-        return lengthOf(error[0], error[1], error[2]);
+        double sum = std::numeric_limits<double>::min();
+        for (const double e : error) sum += (e / mEdge) * (e / mEdge);
+        return sum;
     }
 
     const WorldPositions& mPositions;

@@ -16,6 +16,7 @@ namespace vdb_nns {
 
 namespace {
 
+constexpr std::uint64_t kMostWidth = 10;
 // Rows that a task converts.
 constexpr std::size_t kTaskRows = std::size_t(1) << 16;
 
@@ -270,12 +271,12 @@ void convert(const ArrayFile& file, const Places& places, const unsigned char* v
     }
 }
 
-// Numbers of a row.
+// Numbers of a row; as many as no value has, if it is more.
 std::uint64_t widthOf(const NpyHeader& header)
 {
     std::uint64_t width = 1;
     for (std::size_t i = 1; i < header.shape.size(); ++i)
-        width *= std::min<std::uint64_t>(header.shape[i], 10);
+        width = std::min(width * std::min(header.shape[i], kMostWidth), kMostWidth);
     return width;
 }
 

@@ -199,6 +199,9 @@ const Member& choose(const ArrayFile& file, const std::vector<Member>& members)
     if (members.empty()) throw InputError(file.path + ": the .npz file has no arrays");
     if (file.choice.array.empty()) {
         if (members.size() == 1) return members[0];
+        for (const Member& member : members) {
+            if (member.name == "positions") return member; // as we write it
+        }
         throw InvalidInput(file.path + ": has several arrays: " + names + "; name one of them (--array)");
     }
     for (const Member& member : members) {
@@ -217,6 +220,11 @@ std::vector<StoredValue> listNpzArrays(const ArrayFile& file, std::uint64_t poin
     std::vector<StoredValue> list;
     for (const Member& member : members) {
         if (&member == &positions) continue;
+        const auto hasName = [&](const Member& other) { return other.name == member.name; };
+        if (std::count_if(members.begin(), members.end(), hasName) > 1) {
+            list.push_back({member.name, "unknown", false, {}, "is there twice"});
+            continue;
+        }
         std::vector<unsigned char> storage;
         const std::string path = file.path + ": array '" + shownText(member.name) + "'";
         try {
@@ -232,6 +240,9 @@ PointValues readNpzArrays(const ArrayFile& file, const std::vector<StoredValue>&
 {
     const ZipReader zip(file);
     const std::vector<Member> members = zip.readDirectory();
+    std::uint64_t rowBytes = 0;
+    for (const StoredValue& value : which) rowBytes += value.isGroup ? 1 : attributeBytes(*value.readAs);
+    checkPointsFit(file.path, rowBytes * points, file.allowedBytes);
     PointValues values;
     for (const StoredValue& value : which) {
         const auto member = std::find_if(members.begin(), members.end(),

@@ -14,8 +14,8 @@ double leastVoxelSize(const PositionFacts& facts);
 
 // The edge with which an occupied voxel has 8 points on average, in three decimal digits, or a larger one that the
 // extent asks for. Where points coincide so that the smallest voxels have more, the largest edge with little more than
-// these. It depends on the positions alone, not on their order. Cost: a pass over the positions for each of about fifteen
-// edges.
+// these. It depends on the positions alone, not on their order. Cost: a pass over the positions for each of some
+// ten edges.
 double chooseVoxelSize(const WorldPositions& positions, const PositionFacts& facts,
                        const CancelCheck& cancel);
 
