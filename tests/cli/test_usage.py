@@ -41,7 +41,7 @@ class Help(CliCase):
 
     def test_markdown_has_every_flag_of_help(self):
         table = self.succeeds("--help-markdown").out
-        for command in ("search", "scene", "verify", "bench", "info"):
+        for command in ("search", "scene", "verify", "bench", "convert", "info"):
             section = table.split(f"### `vdb_nns {command}`")[1].split("###")[0]
             flags = re.findall(r"--[a-z][a-z-]*", run(command, "--help").out)
             self.assertGreater(len(flags), 4)
