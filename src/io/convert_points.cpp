@@ -84,6 +84,18 @@ std::vector<bool> namedValues(const PointFile& file, const std::vector<StoredVal
     return isNamed;
 }
 
+// Hears whether to stop, and tells of no progress: that of reading several values would begin again with each.
+class StopOnly final : public Progress {
+public:
+    explicit StopOnly(Progress* progress) : mProgress(progress) {}
+
+    void update(const char*, double) override {}
+    bool cancelled() const override { return mProgress && mProgress->cancelled(); }
+
+private:
+    Progress* mProgress;
+};
+
 // What to read, with those that are left out noted.
 std::vector<StoredValue> chooseValues(const PointFile& file, const std::string& keep, ValueNames& names,
                                       Progress* progress, Conversion& result)
@@ -155,10 +167,11 @@ Conversion convertPoints(const PointFile& file, const std::string& path, const C
     result.format = target.extension;
     result.hasId = target.format == PointFormat::kVdb;
     ValueNames names(target.format, result.hasId ? NewGridOptions().id : std::string());
-    const std::vector<StoredValue> chosen = chooseValues(file, options.keep, names, progress, result);
+    StopOnly reading(progress);
+    const std::vector<StoredValue> chosen = chooseValues(file, options.keep, names, &reading, result);
     if (options.keep != "none" && hasUnreadValues(file.info().format))
         result.leftOut.push_back({"attributes of the ." + file.info().format, "are not read"});
-    const PointValues values = file.readValues(chosen, progress);
+    const PointValues values = file.readValues(chosen, &reading);
     for (const PointAttribute& attribute : values.attributes)
         result.kept.push_back({attribute.name, attributeTypeName(attribute.type)});
     for (const PointGroup& group : values.groups) result.kept.push_back({group.name, "group"});

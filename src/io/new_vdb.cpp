@@ -50,12 +50,13 @@ VoxelCoordinate voxelCoordinate(double x, double edge)
 
 class VoxelPositions final : public GridPositions {
 public:
-    VoxelPositions(const WorldPositions& positions, bool areFinite, double edge)
+    VoxelPositions(const WorldPositions& positions, bool areFinite, double edge, const CancelCheck& cancel)
         : mPositions(positions), mAreFinite(areFinite), mEdge(edge)
     {
         if (areFinite) return;
         double xyz[3];
         for (std::size_t i = 0; i < positions.size(); ++i) {
+            if (i % kTask == 0) cancel.check();
             positions.read(i, 1, xyz);
             if (isFinite(xyz)) mFinite.push_back(static_cast<std::uint32_t>(i));
         }
@@ -162,7 +163,7 @@ WrittenPoints writeNewVdb(const std::string& path, const ParticleView& view, con
             options.voxelSize > 0 ? options.voxelSize : chooseVoxelSize(positions, facts, cancel);
         checkExtent(path, facts, written.voxelSize);
         OutputFile file(path, output);
-        const VoxelPositions points(positions, facts.nonfinite == 0, written.voxelSize);
+        const VoxelPositions points(positions, facts.nonfinite == 0, written.voxelSize, cancel);
         written.points = points.size();
         written.skipped = facts.nonfinite;
         written.largestRounding = facts.largestRounding + points.largestRounding(cancel);

@@ -218,6 +218,22 @@ class RoundTrips(CliCase):
                     rows = read_ply(out)
                     np.testing.assert_array_equal(np.stack([rows[axis] for axis in "xyz"], 1), positions)
 
+    def test_array_named_positions(self):
+        np.savez(self.path("x.npz"), mass=np.ones((50, 3)), positions=cloud(50))
+        self.assertEqual(self.report("info", self.path("x.npz"))["taken"], "array 'positions'")
+        self.succeeds("search", self.path("x.npz"), "-r", "1", "-o", self.path("lists.npz"), "-q")
+        self.succeeds("verify", self.path("x.npz"), self.path("lists.npz"), "-r", "1")
+        np.savez(self.path("x.npz"), mass=np.ones((50, 3)), places=cloud(50))
+        self.fails(2, "info", self.path("x.npz"), says=["'mass', 'places'", "--array"])
+
+    def test_progress(self):
+        for source in (self.scene("block", 30000), self.fixture("named_values.vdb")):
+            for out in ("x.ply", "x.vdb", "x.npz"):
+                done = self.succeeds("convert", source, "-g", "points", "-o", self.path(out), "-f", "-q", "--progress", "always")
+                shown = [int(line[9:-1]) for line in done.err.splitlines()]
+                self.assertEqual((shown, shown[-1]), (sorted(set(shown)), 100), done.err)
+                self.assertGreater(len(shown), 2)
+
     def test_scene_keeps_its_radius(self):
         scene = self.scene("block", 1000)
         self.succeeds("convert", scene, "-o", self.path("x.vdb"), "-q")
