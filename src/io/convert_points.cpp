@@ -170,7 +170,8 @@ Conversion convertPoints(const PointFile& file, const std::string& path, const C
     StopOnly reading(progress);
     const std::vector<StoredValue> chosen = chooseValues(file, options.keep, names, &reading, result);
     if (options.keep != "none" && hasUnreadValues(file.info().format))
-        result.leftOut.push_back({"attributes of the ." + file.info().format, "are not read"});
+        result.leftOut.push_back(
+            {"what the ." + file.info().format + " holds beside positions", "is not read"});
     const PointValues values = file.readValues(chosen, &reading);
     for (const PointAttribute& attribute : values.attributes)
         result.kept.push_back({attribute.name, attributeTypeName(attribute.type)});

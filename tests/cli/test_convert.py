@@ -289,12 +289,14 @@ class Refusals(CliCase):
             report = self.report("convert", path, "-o", self.path(name), "-f")
             self.assertEqual([each["name"] for each in report["output"]["left_out"]], left)
             for each in left:
-                self.assertIn(f"warning: {each} is left out", done.err)
+                self.assertIn(f"warning: left out: {each} ", done.err)
                 self.assertRegex(done.out, f"left out +{each}")
         self.fails(3, "convert", path, "-o", self.path("y.npz"), "--keep", "ring", says=["'ring'", "list uchar int"])
         self.fails(2, "convert", path, "-o", self.path("y.vdb"), "--keep", "a-b", says="'a-b'")
-        bgeo = self.succeeds("help", "convert").out
-        self.assertIn("--keep", bgeo)
+        vtk = self.text("x.vtk", "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 1 float\n1 2 3\n"
+                                 "POINT_DATA 1\nSCALARS mass float 1\nLOOKUP_TABLE default\n5\n")
+        self.assertIn("left out: what the .vtk holds", self.succeeds("convert", vtk, "-o", self.path("v.ply")).err)
+        self.assertEqual(self.succeeds("convert", vtk, "-o", self.path("v.ply"), "-f", "--keep", "none").err, "")
 
     def test_flags(self):
         path = self.npy("x.npy", cloud(10))

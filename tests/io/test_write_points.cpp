@@ -407,6 +407,35 @@ TEST_F(WritePointsTest, valuesAreAddedToACopy)
     EXPECT_EQ(readGrid(path("out.vdb"))->tree().cbeginLeaf()->attributeSet().get("f")->type().first, "vec3d");
 }
 
+TEST_F(WritePointsTest, manyGroupsBesideThoseThatAreThere)
+{
+    const std::size_t count = 300;
+    const std::vector<double> positions = randomPositions(count, 9);
+    std::vector<std::vector<std::uint8_t>> members(20, std::vector<std::uint8_t>(count));
+    PointValues first, second;
+    for (std::size_t g = 0; g < members.size(); ++g) {
+        for (std::size_t i = 0; i < count; ++i) members[g][i] = (i >> (g % 7) & 1) != 0;
+        (g < 5 ? first : second)
+            .groups.push_back(viewGroup("g" + std::to_string(g), {members[g].data(), count}));
+    }
+    NewGridOptions options;
+    options.id.clear();
+    options.voxelSize = 100; // one voxel keeps the order
+    writeNewVdb(path("x.vdb"), viewOfDoubles(positions), first, options);
+    PointFile::read(path("x.vdb")).writeVdb(path("y.vdb"), second);
+    const PointDataGrid::Ptr grid = readGrid(path("y.vdb"));
+    std::size_t number = 0;
+    for (auto leaf = grid->tree().cbeginLeaf(); leaf; ++leaf) {
+        for (auto index = leaf->beginIndexAll(); index; ++index, ++number) {
+            for (std::size_t g = 0; g < members.size(); ++g)
+                ASSERT_EQ(leaf->groupHandle("g" + std::to_string(g)).get(*index), members[g][number] != 0);
+        }
+    }
+    EXPECT_EQ(number, count);
+    const PointFile file = PointFile::read(path("y.vdb"));
+    EXPECT_EQ(file.readValues(file.listValues()).groups.size(), 20u);
+}
+
 TEST_F(WritePointsTest, valuesThatDoNotFitAreRefused)
 {
     const std::vector<double> positions = randomPositions(10, 9);

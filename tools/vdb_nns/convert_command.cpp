@@ -133,7 +133,7 @@ void warn(const ConvertFlags& flags, const ConvertReport& report)
     if (flags.common.quiet) return;
     const Conversion& done = report.done;
     for (const Conversion::LeftOut& left : done.leftOut)
-        say("warning: " + left.name + " is left out: it " + left.why);
+        say("warning: left out: " + left.name + " " + left.why);
     if (done.written.skipped > 0)
         say("warning: " + countText(done.written.skipped) +
             " points with a NaN or infinite coordinate are left out; the attribute id tells which are there");
