@@ -105,6 +105,13 @@ ReadArray parsePly(const ArrayFile& file);
 // a property that is not there, InputError for one that is a list or there twice, and where parsePly() does.
 std::vector<double> parsePlyProperty(const ArrayFile& file, const std::string& name);
 
+// How the properties of element `vertex` but x, y and z are read as values, from their declarations. Of files that have none:
+// nothing.
+std::vector<StoredValue> listPlyProperties(const std::vector<AttributeInfo>& properties);
+
+// Throws where parsePlyProperty() does.
+PointAttribute readPlyAttribute(const ArrayFile& file, const StoredValue& which);
+
 // Text: the grammar stands beside the code.
 ReadArray parseText(const ArrayFile& file);
 

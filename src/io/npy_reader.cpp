@@ -3,59 +3,18 @@
 #include "io/half_float.h"
 #include "io/npy_header.h"
 #include "io/number_type.h"
-#include "util/memory.h"
 
 #include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
 #include <atomic>
-#include <limits>
-#include <memory>
 
 namespace vdb_nns {
 
 namespace {
 
-constexpr std::uint64_t kMostWidth = 10;
 // Rows that a task converts.
 constexpr std::size_t kTaskRows = std::size_t(1) << 16;
-
-std::string shapeText(const std::vector<std::uint64_t>& shape)
-{
-    std::string text = "(";
-    for (std::size_t i = 0; i < shape.size(); ++i) text += (i ? ", " : "") + std::to_string(shape[i]);
-    return text + (shape.size() == 1 ? ",)" : ")");
-}
-
-NpyHeader readHeader(const std::string& path, FileBytes bytes)
-{
-    static const unsigned char kMagic[6] = {0x93, 'N', 'U', 'M', 'P', 'Y'};
-    if (bytes.size() < 10 || std::memcmp(bytes.data(), kMagic, sizeof kMagic) != 0) {
-        throw InputError(path + ": is not an .npy file: it does not begin with \\x93NUMPY and a header (" +
-                         std::to_string(bytes.size()) + " bytes in all); write it with numpy.save");
-    }
-    const unsigned major = bytes[6];
-    if (major < 1 || major > 3) {
-        throw InputError(path + ": .npy version " + std::to_string(major) +
-                         " at byte 6 is not supported (1 to 3 are)");
-    }
-    const std::size_t lengthBytes = major == 1 ? 2 : 4;
-    const std::size_t start = 8 + lengthBytes;
-    std::uint64_t length = 0;
-    for (std::size_t i = lengthBytes; i-- > 0;) {
-        length = length << 8 | (8 + i < bytes.size() ? bytes[8 + i] : 0u);
-    }
-    if (bytes.size() < start || length > bytes.size() - start || length > kMaxNpyHeaderBytes) {
-        throw InputError(path + ": the .npy header at byte 8 claims " + std::to_string(length) +
-                         " bytes, but the file has " + std::to_string(bytes.size()) +
-                         " and a header may have " + std::to_string(kMaxNpyHeaderBytes) +
-                         "; the file is truncated or damaged");
-    }
-    const FileBytes text(bytes.data() + start, static_cast<std::size_t>(length));
-    NpyHeader header = NpyHeaderParser(path, text, start).parse();
-    header.dataOffset = start + static_cast<std::size_t>(length);
-    return header;
-}
 
 // Where the three coordinates of the first point are, in bytes from the first value, and how far it is to the next point.
 struct Places {
@@ -84,7 +43,7 @@ Places placesOfFields(const ArrayFile& file, const NpyHeader& header)
 {
     const std::string& path = file.path;
     if (header.shape.size() != 1) {
-        throw InputError(path + ": the .npy file holds records of shape " + shapeText(header.shape) +
+        throw InputError(path + ": the .npy file holds records of shape " + npyShapeText(header.shape) +
                          ", not (N,); save positions.ravel()");
     }
     std::vector<std::string> names, taken;
@@ -128,7 +87,7 @@ Places placesOfColumns(const ArrayFile& file, const NpyHeader& header)
     const std::string& path = file.path;
     if (!header.type.isNumber()) refuseType(path, header.descr);
     const std::vector<std::uint64_t>& shape = header.shape;
-    const std::string is = path + ": .npy shape " + shapeText(shape) + " is not (N, 3)";
+    const std::string is = path + ": .npy shape " + npyShapeText(shape) + " is not (N, 3)";
     if (shape.size() == 1) {
         throw InputError(is + (shape[0] % 3 == 0
                                    ? "; save positions.reshape(-1, 3) if it is x y z x y z ..."
@@ -165,36 +124,6 @@ Places placesOfColumns(const ArrayFile& file, const NpyHeader& header)
     }
     if (!columns.empty()) places.taken = "columns " + list(taken) + " of " + std::to_string(width);
     return places;
-}
-
-// Values of a shape; nothing where that is past 64 bits.
-std::optional<std::uint64_t> valuesOf(const std::vector<std::uint64_t>& shape)
-{
-    std::uint64_t count = 1;
-    if (std::find(shape.begin(), shape.end(), 0u) != shape.end()) return 0;
-    for (const std::uint64_t size : shape) {
-        if (count > std::numeric_limits<std::uint64_t>::max() / size) return std::nullopt;
-        count *= size;
-    }
-    return count;
-}
-
-// The values are as many as the header says, to the byte.
-void checkSize(const std::string& path, const NpyHeader& header, std::uint64_t available)
-{
-    const std::optional<std::uint64_t> count = valuesOf(header.shape);
-    if (!count || *count > available / header.itemBytes) {
-        throw InputError(path + ": truncated: the .npy header promises shape " + shapeText(header.shape) +
-                         " of " + std::to_string(header.itemBytes) + " bytes each, but only " +
-                         std::to_string(available) + " bytes follow from byte " +
-                         std::to_string(header.dataOffset) + "; copy the file again");
-    }
-    const std::uint64_t needed = *count * header.itemBytes;
-    if (needed != available) {
-        throw InputError(path + ": " + std::to_string(available - needed) + " bytes too many behind the " +
-                         std::to_string(needed) + " of the .npy header's shape, from byte " +
-                         std::to_string(header.dataOffset + needed) + "; write the file again");
-    }
 }
 
 // Converts one coordinate of rows [begin, end). Returns the first row whose integer is no double, or `end`.
@@ -271,106 +200,6 @@ void convert(const ArrayFile& file, const Places& places, const unsigned char* v
     }
 }
 
-// Numbers of a row; as many as no value has, if it is more.
-std::uint64_t widthOf(const NpyHeader& header)
-{
-    std::uint64_t width = 1;
-    for (std::size_t i = 1; i < header.shape.size(); ++i)
-        width = std::min(width * std::min(header.shape[i], kMostWidth), kMostWidth);
-    return width;
-}
-
-// The type that rows are read as; empty where none holds them.
-std::optional<AttributeType> readableType(const NpyHeader& header)
-{
-    const NpyType& type = header.type;
-    const std::vector<std::uint64_t>& shape = header.shape;
-    const std::uint64_t width = widthOf(header);
-    const bool isMatrix =
-        (shape.size() == 2 && width == 9) || (shape.size() == 3 && shape[1] == 3 && shape[2] == 3);
-    if (shape.size() > 2 && !isMatrix) return std::nullopt;
-    if (type.isFloat()) {
-        const bool isDouble = type.bytes == 8;
-        if (width == 1) return isDouble ? AttributeType::kDouble : AttributeType::kFloat;
-        if (width == 3) return isDouble ? AttributeType::kVec3d : AttributeType::kVec3s;
-        if (isMatrix && !isDouble) return AttributeType::kMat3s;
-        return std::nullopt;
-    }
-    const bool isNumber = type.isInteger() || (type.kind == 'b' && type.bytes == 1);
-    if (!isNumber || width != 1) return std::nullopt;
-    const bool isSmall = type.bytes < 4 || (type.bytes == 4 && type.kind == 'i');
-    return isSmall ? AttributeType::kInt32 : AttributeType::kInt64;
-}
-
-// The values of an array whose rows are values of points.
-struct ValueArray {
-    const ArrayFile& file;
-    const NpyHeader& header;
-
-    // As numbers of a type that holds them, row by row.
-    template <typename To>
-    void read(To* out) const
-    {
-        const NpyType& type = header.type;
-        if (type.kind == 'f') {
-            if (type.bytes == 2)
-                return convert<std::uint16_t>(out, [](auto bits) { return floatOfHalf(bits); });
-            return type.bytes == 4 ? copy<float>(out) : copy<double>(out);
-        }
-        const bool isSigned = type.kind == 'i';
-        switch (type.bytes) {
-        case 1:
-            return isSigned ? copy<std::int8_t>(out) : copy<std::uint8_t>(out);
-        case 2:
-            return isSigned ? copy<std::int16_t>(out) : copy<std::uint16_t>(out);
-        case 4:
-            return isSigned ? copy<std::int32_t>(out) : copy<std::uint32_t>(out);
-        default:
-            return isSigned ? copy<std::int64_t>(out) : copyLarge(out);
-        }
-    }
-
-private:
-    template <typename From, typename To>
-    void copy(To* out) const
-    {
-        convert<From>(out, [](From value) { return value; });
-    }
-
-    template <typename To>
-    void copyLarge(To* out) const
-    {
-        convert<std::uint64_t>(out, [&](std::uint64_t value) {
-            if (value > static_cast<std::uint64_t>(std::numeric_limits<std::int64_t>::max()))
-                throw InputError(file.path + ": holds " + std::to_string(value) +
-                                 ", which is beyond 2^63-1, the largest int64; leave it out");
-            return value;
-        });
-    }
-
-    template <typename From, typename To, typename Convert>
-    void convert(To* out, const Convert& converted) const
-    {
-        const auto rows = static_cast<std::size_t>(header.shape[0]);
-        const auto width = static_cast<std::size_t>(widthOf(header));
-        const bool isBig = header.type.isBigEndian(), isSquare = header.shape.size() == 3;
-        const unsigned char* const values = file.bytes.data() + header.dataOffset;
-        tbb::parallel_for(std::size_t(0), (rows + kTaskRows - 1) / kTaskRows, [&](std::size_t task) {
-            file.cancel.check();
-            const std::size_t end = std::min(rows, (task + 1) * kTaskRows);
-            for (std::size_t row = task * kTaskRows; row < end; ++row) {
-                for (std::size_t k = 0; k < width; ++k) {
-                    // In Fortran's order the first index runs fastest.
-                    const std::size_t column = isSquare ? k / 3 + 3 * (k % 3) : k;
-                    const std::size_t at = header.fortranOrder ? column * rows + row : row * width + k;
-                    out[row * width + k] =
-                        static_cast<To>(converted(loadNumber<From>(values + at * sizeof(From), isBig)));
-                }
-            }
-        });
-    }
-};
-
 bool isInPlace(const Places& places)
 {
     const NpyType& type = places.type[0];
@@ -383,73 +212,12 @@ bool isInPlace(const Places& places)
 
 } // namespace
 
-StoredValue describeNpyValues(const std::string& path, const std::string& name, FileBytes bytes,
-                              std::uint64_t points)
-{
-    const NpyHeader header = readHeader(path, bytes);
-    const NpyType& type = header.type;
-    std::string shape;
-    for (std::size_t i = 0; i < header.shape.size(); ++i)
-        shape += (i ? ", " : "") + std::to_string(header.shape[i]);
-    StoredValue value;
-    value.name = name;
-    value.type = (header.isStructured() ? "records" : escapedText(header.descr)) + " (" + shape + ")";
-    if (header.isStructured()) {
-        value.problem = "holds records";
-    } else if (header.shape.empty() || header.shape[0] != points) {
-        value.problem = "has the shape " + shapeText(header.shape) + ", not a value for each of " +
-                        std::to_string(points) + " points";
-    } else if (type.kind == 'b' && type.bytes == 1 && widthOf(header) == 1) {
-        value.isGroup = true;
-    } else {
-        value.readAs = readableType(header);
-        if (!value.readAs)
-            value.problem = "has the dtype '" + shownText(header.descr) + "' and the shape " +
-                            shapeText(header.shape) +
-                            ", which is none of float, double, int32, int64, vec3s, vec3d and mat3s";
-    }
-    return value;
-}
-
-void readNpyValues(const ArrayFile& file, const StoredValue& which, std::uint64_t points, PointValues& values)
-{
-    const NpyHeader header = readHeader(file.path, file.bytes);
-    checkSize(file.path, header, file.bytes.size() - header.dataOffset);
-    const ValueArray from{file, header};
-    const auto count = static_cast<std::size_t>(points);
-    if (which.isGroup) {
-        const auto members = std::make_shared<std::vector<std::uint8_t>>(count);
-        from.read(members->data());
-        values.groups.push_back({which.name, points, {members, members->data()}});
-        return;
-    }
-    const auto owner = std::make_shared<PageBlock>(count * attributeBytes(*which.readAs));
-    switch (*which.readAs) {
-    case AttributeType::kFloat:
-    case AttributeType::kVec3s:
-    case AttributeType::kMat3s:
-        from.read(static_cast<float*>(owner->data()));
-        break;
-    case AttributeType::kDouble:
-    case AttributeType::kVec3d:
-        from.read(static_cast<double*>(owner->data()));
-        break;
-    case AttributeType::kInt32:
-        from.read(static_cast<std::int32_t*>(owner->data()));
-        break;
-    case AttributeType::kInt64:
-        from.read(static_cast<std::int64_t*>(owner->data()));
-        break;
-    }
-    values.attributes.push_back({which.name, *which.readAs, points, {owner, owner->data()}});
-}
-
 bool parseNpy(const ArrayFile& file, NpyLayout& layout, ReadArray& result)
 {
-    const NpyHeader header = readHeader(file.path, file.bytes);
+    const NpyHeader header = readNpyHeader(file.path, file.bytes);
     const Places places =
         header.isStructured() ? placesOfFields(file, header) : placesOfColumns(file, header);
-    checkSize(file.path, header, file.bytes.size() - header.dataOffset);
+    checkNpySize(file.path, header, file.bytes.size() - header.dataOffset);
     if (places.rows > kMaxFilePoints) {
         throw InputError(file.path + ": " + std::to_string(places.rows) + " points are more than the " +
                          std::to_string(kMaxFilePoints) + " that fit; split the file");
@@ -475,7 +243,7 @@ bool parseNpy(const ArrayFile& file, NpyLayout& layout, ReadArray& result)
 
 std::vector<double> parseNpyValues(const ArrayFile& file, std::uint64_t count)
 {
-    const NpyHeader header = readHeader(file.path, file.bytes);
+    const NpyHeader header = readNpyHeader(file.path, file.bytes);
     const NpyType& type = header.type;
     const std::vector<std::uint64_t>& shape = header.shape;
     const std::string expected = "; expected are " + std::to_string(count) +
@@ -487,11 +255,11 @@ std::vector<double> parseNpyValues(const ArrayFile& file, std::uint64_t count)
                          expected);
     }
     const bool isList = shape.size() == 1 || (shape.size() == 2 && shape[1] == 1);
-    if (!isList) throw InputError(file.path + ": has the shape " + shapeText(shape) + expected);
-    checkSize(file.path, header, file.bytes.size() - header.dataOffset);
+    if (!isList) throw InputError(file.path + ": has the shape " + npyShapeText(shape) + expected);
+    checkNpySize(file.path, header, file.bytes.size() - header.dataOffset);
     if (shape[0] != count) {
         throw InputError(file.path + ": has " + std::to_string(shape[0]) + " values, shape " +
-                         shapeText(shape) + expected);
+                         npyShapeText(shape) + expected);
     }
     checkPointsFit(file.path, count * sizeof(double), file.allowedBytes);
     std::vector<double> values(static_cast<std::size_t>(count));

@@ -20,7 +20,6 @@
 #include <cmath>
 #include <cstring>
 #include <filesystem>
-#include <initializer_list>
 #include <limits>
 #include <memory>
 #include <mutex>
@@ -271,51 +270,6 @@ void checkVertices(const PointFile::Data& data, std::size_t vertices)
                                     std::to_string(vertices));
 }
 
-// How a property of a .ply is read, from its declaration.
-StoredValue plyValue(const AttributeInfo& property, const std::vector<AttributeInfo>& all)
-{
-    StoredValue value;
-    value.name = property.name;
-    value.type = property.type;
-    const auto isOneOf = [&](std::initializer_list<const char*> types) {
-        return std::find(types.begin(), types.end(), property.type) != types.end();
-    };
-    const auto hasName = [&](const AttributeInfo& other) { return other.name == property.name; };
-    if (std::count_if(all.begin(), all.end(), hasName) > 1) {
-        value.problem = "is there twice";
-    } else if (isOneOf({"float", "float32"})) {
-        value.readAs = AttributeType::kFloat;
-    } else if (isOneOf({"double", "float64"})) {
-        value.readAs = AttributeType::kDouble;
-    } else if (isOneOf({"uint", "uint32"})) {
-        value.readAs = AttributeType::kInt64;
-    } else if (property.type.rfind("list", 0) == 0) {
-        value.problem = "has type " + property.type + "; lists are not carried";
-    } else {
-        value.readAs = AttributeType::kInt32;
-    }
-    return value;
-}
-
-template <typename To>
-PointAttribute narrowed(const StoredValue& which, const std::vector<double>& values)
-{
-    const auto owner = std::make_shared<std::vector<To>>(values.size());
-    std::transform(values.begin(), values.end(), owner->begin(),
-                   [](double value) { return static_cast<To>(value); });
-    return {which.name, *which.readAs, values.size(), {owner, owner->data()}};
-}
-
-// A property of a .ply, whose values the doubles hold exactly.
-PointAttribute plyAttribute(const StoredValue& which, std::vector<double>&& values)
-{
-    if (*which.readAs == AttributeType::kFloat) return narrowed<float>(which, values);
-    if (*which.readAs == AttributeType::kInt32) return narrowed<std::int32_t>(which, values);
-    if (*which.readAs == AttributeType::kInt64) return narrowed<std::int64_t>(which, values);
-    const auto owner = std::make_shared<std::vector<double>>(std::move(values));
-    return {which.name, AttributeType::kDouble, owner->size(), {owner, owner->data()}};
-}
-
 } // namespace
 
 PointFile PointFile::read(const std::string& path, const PointFileOptions& options)
@@ -415,12 +369,7 @@ std::vector<StoredValue> PointFile::listValues(Progress* progress) const
 {
     const Data& data = *mData;
     if (!data.vdb && data.info.format != "npz") {
-        std::vector<StoredValue> list;
-        for (const AttributeInfo& property : data.info.attributes) {
-            if (property.name != "x" && property.name != "y" && property.name != "z")
-                list.push_back(plyValue(property, data.info.attributes));
-        }
-        return list;
+        return listPlyProperties(data.info.attributes);
     }
     return isolated([&] {
         const CancelCheck cancel(progress, "read");
@@ -459,9 +408,8 @@ PointValues PointFile::readValues(const std::vector<StoredValue>& which, Progres
             if (data.info.format == "npz") return readNpzArrays(array, which, data.view.size());
             PointValues values;
             for (const StoredValue& value : which) {
-                std::vector<double> numbers = parsePlyProperty(array, value.name);
-                checkVertices(data, numbers.size());
-                values.attributes.push_back(plyAttribute(value, std::move(numbers)));
+                values.attributes.push_back(readPlyAttribute(array, value));
+                checkVertices(data, static_cast<std::size_t>(values.attributes.back().count));
             }
             return values;
         });
