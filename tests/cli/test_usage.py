@@ -260,6 +260,10 @@ class Scene(CliCase):
         self.fails(2, "scene", "block", "-n", "10", "-o", self.path("x.npy"), says="x.npy")
         self.fails(2, "scene", "block", "-n", "10")
 
+    def test_tiny_spacing(self):
+        path = self.scene("block", 1000, "--spacing", "1e-7")
+        self.assertEqual(self.report("info", path)["voxel_size"], [2e-7] * 3)
+
     def test_same_seed_same_bytes_but_the_uuid(self):
         files = []
         for name, seed in (("a", 1), ("b", 1), ("c", 2)):

@@ -257,6 +257,21 @@ TEST_F(WritePointsTest, floatsAreExactInVoxelsOfAPowerOfTwo)
               0);
 }
 
+TEST_F(WritePointsTest, tinyAndHugeVoxels)
+{
+    for (const double scale : {1e-30, 1e-9, 1e-5, 1e9, 1e30}) {
+        std::vector<double> positions = randomPositions(1000, 2);
+        for (double& x : positions) x *= scale;
+        const WrittenPoints written =
+            writeNewVdb(path("x.vdb"), viewOfDoubles(positions), {}, {}, kOverwrite);
+        EXPECT_NEAR(written.voxelSize, 0.4 * scale, 0.1 * scale);
+        const PointDataGrid::Ptr grid = readGrid(path("x.vdb"));
+        EXPECT_EQ(grid->voxelSize()[0], written.voxelSize);
+        EXPECT_NEAR(farthest(*grid, positions), written.largestRounding, 1e-3 * written.largestRounding);
+        EXPECT_EQ(PointFile::read(path("x.vdb")).info().voxelSize->at(1), written.voxelSize);
+    }
+}
+
 TEST_F(WritePointsTest, bothSignsAndEveryNodeKeepTheirOrder)
 {
     std::vector<double> positions;

@@ -10,7 +10,9 @@
 
 #include <algorithm>
 #include <limits>
+#include <memory>
 #include <ostream>
+#include <sstream>
 #include <vector>
 
 namespace vdb_nns {
@@ -32,6 +34,19 @@ PointAttribute numberAttribute(const NewGrid& content, const PageArray<std::uint
     return viewAttribute(content.numberAttribute, AttributeType::kInt64, wide.data(), wide.size());
 }
 
+// What createLinearTransform() makes. That refuses edges below 1.4e-5, whose cube it takes for 0; a map that is read, as from a
+// file, may have any.
+openvdb::math::Transform::Ptr linearTransform(double edge)
+{
+    const openvdb::Vec3d scale(edge), inverse = 1.0 / scale;
+    std::stringstream values;
+    for (const openvdb::Vec3d& value : {scale, scale, inverse, inverse * inverse, inverse / 2.0})
+        value.write(values);
+    const auto map = std::make_shared<openvdb::math::UniformScaleMap>();
+    map->read(values);
+    return std::make_shared<openvdb::math::Transform>(map);
+}
+
 PointDataGrid::Ptr makeGrid(const NewGrid& content, const CancelCheck& cancel)
 {
     PageArray<std::uint32_t> numbers;
@@ -45,7 +60,7 @@ PointDataGrid::Ptr makeGrid(const NewGrid& content, const CancelCheck& cancel)
     }
     addPointValues(*grid, content.values, false, numbers.data(), content.valueCount, cancel);
     cancel.update(kValuesShare);
-    grid->setTransform(openvdb::math::Transform::createLinearTransform(content.voxelSize));
+    grid->setTransform(linearTransform(content.voxelSize));
     if (content.suggestedRadius)
         grid->insertMeta("suggested_radius", openvdb::DoubleMetadata(*content.suggestedRadius));
     return grid;
