@@ -2,6 +2,7 @@
 #pragma once
 
 #include "vdb_nns/particle_view.h"
+#include "vdb_nns/point_values.h"
 #include "vdb_nns/sparse_grid.h"
 #include "vdb_nns/types.h"
 
@@ -18,6 +19,14 @@ namespace vdb_nns {
 ///         codec null, trnc, fxpt16 or fxpt8, leaf offsets that do not validate, or out-of-core leaves
 /// @throws InvalidInput for a null grid or more than 2^32-1 points
 ParticleView viewOf(const openvdb::points::PointDataGrid::ConstPtr& grid);
+
+/// Adds attributes and groups to a point grid, with codec null. Others are left as they are.
+/// @param values one a point, in the numbering of viewOf().
+/// @param overwrite replace attributes and groups that exist; else they are refused.
+/// @throws InvalidInput if the numbers of values and points differ, a name is not valid, exists or is given twice, or it is
+///         P or an array of groups; the grid is then unchanged
+/// @throws InputError if the leaves do not share one set of attributes
+void addPointValues(openvdb::points::PointDataGrid& grid, const PointValues& values, bool overwrite = false);
 
 /// Adds or replaces the int32 attribute `name` of a point grid. Other attributes are left as they are.
 /// @param values one value a point, in the numbering of viewOf().

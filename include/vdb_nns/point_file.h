@@ -1,9 +1,11 @@
-// Point files: grids, arrays and texts in, neighbor lists (.npz) and result attributes (.vdb) out.
+// Point files: grids, arrays and texts in, neighbor lists (.npz) and result attributes (.vdb) out. Points themselves are
+// written by write_points.h.
 #pragma once
 
 #include "vdb_nns/neighbor_lists.h"
 #include "vdb_nns/output.h"
 #include "vdb_nns/particle_view.h"
+#include "vdb_nns/point_values.h"
 #include "vdb_nns/progress.h"
 #include "vdb_nns/types.h"
 
@@ -44,6 +46,15 @@ struct PointFileInfo {
     std::optional<double> suggestedRadius; ///< world units, metadata `suggested_radius`
 };
 
+/// What a file holds for each point beside its position, and how PointFile::readValues() reads it.
+struct StoredValue {
+    std::string name;
+    std::string type;                    ///< as the file has it: "vec3s", "list uchar int", "<f4 (N, 3)"
+    bool isGroup = false;                ///< a point group of a .vdb, an array of bools of an .npz
+    std::optional<AttributeType> readAs; ///< empty for groups, and where it cannot be read
+    std::string problem; ///< why it cannot be read, as the end of a sentence that begins with it; else empty
+};
+
 struct PointFileOptions {
     /// Name of the point grid of a .vdb; empty: the only one.
     std::string grid;
@@ -61,7 +72,7 @@ struct PointFileOptions {
     /// than (N, 3), or of the fields of its records. Empty: what the file says.
     std::vector<std::uint32_t> columns = {};
 
-    /// Name of the array of an .npz; empty: the only one.
+    /// Name of the array of an .npz that holds the positions; empty: the only one, else the one named `positions`.
     std::string array = {};
 };
 
@@ -101,6 +112,21 @@ public:
     /// @throws CapacityError, Cancelled
     std::vector<double> readScalars(const std::string& name, Progress* progress = nullptr) const;
 
+    /// What the file holds for each point, in its order: attributes and groups of a .vdb, properties of element `vertex` of a
+    /// .ply, arrays of an .npz. Not the positions themselves. Empty for other formats, whose further values are not read.
+    /// Cost: a walk over the leaves of a .vdb; the headers of an .npz.
+    /// @throws InputError if the file is not readable any more or has changed since it was read
+    /// @throws CapacityError, Cancelled
+    std::vector<StoredValue> listValues(Progress* progress = nullptr) const;
+
+    /// Reads values that listValues() gave, and that have no problem. Small integers and bools become int32, unsigned ones of
+    /// 32 bits or more int64, halves floats. Points of a leaf that lacks an attribute which others have get 0.
+    /// Memory: the result, and as much again for one of them, or the file of a .ply or .npz.
+    /// @throws InvalidInput for values that the file does not have or that cannot be read
+    /// @throws InputError for damage, for an integer beyond 2^63-1, and if the file has changed since it was read
+    /// @throws CapacityError, Cancelled
+    PointValues readValues(const std::vector<StoredValue>& which, Progress* progress = nullptr) const;
+
     /// Which points are in some point groups of a .vdb: 1 or 0 of each, in the order of their numbers.
     /// @param list names with commas between: the points of any of them (of all points if there is none) but for those of
     ///        any group whose name stands behind a `^`, in any order: "fluid,spray,^boundary". Blanks around names do not
@@ -122,6 +148,14 @@ public:
     /// @throws OutputExists, OutputError, Cancelled
     void writeVdb(const std::string& path, Span<const std::uint32_t> counts, const std::string& prefix,
                   const OutputOptions& options = {}, Progress* progress = nullptr) const;
+
+    /// The same with attributes and groups of any kind, with the names that they have.
+    /// @param options `overwrite` applies to attributes and groups that exist, too; P is never replaced.
+    /// @throws InvalidInput if this is not a .vdb file, the numbers of values and points differ, or a name is not valid, is
+    ///         given twice, or exists
+    /// @throws OutputExists, OutputError, Cancelled
+    void writeVdb(const std::string& path, const PointValues& values, const OutputOptions& options = {},
+                  Progress* progress = nullptr) const;
 
     struct Data;
 

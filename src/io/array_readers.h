@@ -6,6 +6,7 @@
 #pragma once
 
 #include "util/cancel.h"
+#include "vdb_nns/point_file.h"
 #include "vdb_nns/types.h"
 
 #include <cstddef>
@@ -35,7 +36,7 @@ struct PositionArray {
 struct ArrayChoice {
     std::vector<std::uint32_t>
         columns;       // numbers of those that are x, y and z, from 0; empty: the reader's rule
-    std::string array; // name of the array of an .npz; empty: the only one
+    std::string array; // name of the array of an .npz; empty: the only one, or `positions`
 };
 
 // A file in memory, and what a reader is told about reading it.
@@ -83,6 +84,18 @@ ReadArray parseNpz(const ArrayFile& file);
 // others, and for another N than `count`.
 std::vector<double> parseNpyValues(const ArrayFile& file, std::uint64_t count);
 
+// What an .npy holds for each of so many points; only its header is looked at, and the values need not follow.
+StoredValue describeNpyValues(const std::string& path, const std::string& name, FileBytes bytes,
+                              std::uint64_t points);
+
+// Reads the values of such an .npy, appends them as an attribute or a group.
+void readNpyValues(const ArrayFile& file, const StoredValue& which, std::uint64_t points,
+                   PointValues& values);
+
+// Of all arrays but the one that the positions are read from.
+std::vector<StoredValue> listNpzArrays(const ArrayFile& file, std::uint64_t points);
+PointValues readNpzArrays(const ArrayFile& file, const std::vector<StoredValue>& which, std::uint64_t points);
+
 // The Stanford polygon format: ascii, binary little-endian or big-endian; x y z of element `vertex` of any type of number.
 // Other elements and properties, lists too, are walked over; behind whole vertices they may be damaged, and a note
 // says so. http://paulbourke.net/dataformats/ply/
@@ -91,6 +104,13 @@ ReadArray parsePly(const ArrayFile& file);
 // The values of one property of element `vertex`, of any type of number, each exactly as a double. Throws InvalidInput for
 // a property that is not there, InputError for one that is a list or there twice, and where parsePly() does.
 std::vector<double> parsePlyProperty(const ArrayFile& file, const std::string& name);
+
+// How the properties of element `vertex` but x, y and z are read as values, from their declarations. Of files that have none:
+// nothing.
+std::vector<StoredValue> listPlyProperties(const std::vector<AttributeInfo>& properties);
+
+// Throws where parsePlyProperty() does.
+PointAttribute readPlyAttribute(const ArrayFile& file, const StoredValue& which);
 
 // Text: the grammar stands beside the code.
 ReadArray parseText(const ArrayFile& file);

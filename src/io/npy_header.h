@@ -1,5 +1,4 @@
-// The header of an .npy file: the text of a Python dictionary. A header of its own for the sake of its length; npy_reader.cpp
-// is its only user.
+// The header of an .npy file: the text of a Python dictionary.
 #pragma once
 
 #include "io/array_readers.h"
@@ -235,5 +234,14 @@ private:
     std::size_t mNext = 0;
     NpyHeader mHeader;
 };
+
+// Of the bytes of a file or of its beginning. Throws InputError.
+NpyHeader readNpyHeader(const std::string& path, FileBytes bytes);
+
+// Throws InputError unless so many bytes are the values that the header declares, to the byte.
+void checkNpySize(const std::string& path, const NpyHeader& header, std::uint64_t available);
+
+// "(4, 3)", as Python writes it.
+std::string npyShapeText(const std::vector<std::uint64_t>& shape);
 
 } // namespace vdb_nns

@@ -16,43 +16,6 @@ namespace {
 // Rows that a task converts.
 constexpr std::size_t kTaskRows = std::size_t(1) << 16;
 
-std::string shapeText(const std::vector<std::uint64_t>& shape)
-{
-    std::string text = "(";
-    for (std::size_t i = 0; i < shape.size(); ++i) text += (i ? ", " : "") + std::to_string(shape[i]);
-    return text + (shape.size() == 1 ? ",)" : ")");
-}
-
-NpyHeader readHeader(const std::string& path, FileBytes bytes)
-{
-    static const unsigned char kMagic[6] = {0x93, 'N', 'U', 'M', 'P', 'Y'};
-    if (bytes.size() < 10 || std::memcmp(bytes.data(), kMagic, sizeof kMagic) != 0) {
-        throw InputError(path + ": is not an .npy file: it does not begin with \\x93NUMPY and a header (" +
-                         std::to_string(bytes.size()) + " bytes in all); write it with numpy.save");
-    }
-    const unsigned major = bytes[6];
-    if (major < 1 || major > 3) {
-        throw InputError(path + ": .npy version " + std::to_string(major) +
-                         " at byte 6 is not supported (1 to 3 are)");
-    }
-    const std::size_t lengthBytes = major == 1 ? 2 : 4;
-    const std::size_t start = 8 + lengthBytes;
-    std::uint64_t length = 0;
-    for (std::size_t i = lengthBytes; i-- > 0;) {
-        length = length << 8 | (8 + i < bytes.size() ? bytes[8 + i] : 0u);
-    }
-    if (bytes.size() < start || length > bytes.size() - start || length > kMaxNpyHeaderBytes) {
-        throw InputError(path + ": the .npy header at byte 8 claims " + std::to_string(length) +
-                         " bytes, but the file has " + std::to_string(bytes.size()) +
-                         " and a header may have " + std::to_string(kMaxNpyHeaderBytes) +
-                         "; the file is truncated or damaged");
-    }
-    const FileBytes text(bytes.data() + start, static_cast<std::size_t>(length));
-    NpyHeader header = NpyHeaderParser(path, text, start).parse();
-    header.dataOffset = start + static_cast<std::size_t>(length);
-    return header;
-}
-
 // Where the three coordinates of the first point are, in bytes from the first value, and how far it is to the next point.
 struct Places {
     std::uint64_t rows = 0, stride = 0;
@@ -80,7 +43,7 @@ Places placesOfFields(const ArrayFile& file, const NpyHeader& header)
 {
     const std::string& path = file.path;
     if (header.shape.size() != 1) {
-        throw InputError(path + ": the .npy file holds records of shape " + shapeText(header.shape) +
+        throw InputError(path + ": the .npy file holds records of shape " + npyShapeText(header.shape) +
                          ", not (N,); save positions.ravel()");
     }
     std::vector<std::string> names, taken;
@@ -124,7 +87,7 @@ Places placesOfColumns(const ArrayFile& file, const NpyHeader& header)
     const std::string& path = file.path;
     if (!header.type.isNumber()) refuseType(path, header.descr);
     const std::vector<std::uint64_t>& shape = header.shape;
-    const std::string is = path + ": .npy shape " + shapeText(shape) + " is not (N, 3)";
+    const std::string is = path + ": .npy shape " + npyShapeText(shape) + " is not (N, 3)";
     if (shape.size() == 1) {
         throw InputError(is + (shape[0] % 3 == 0
                                    ? "; save positions.reshape(-1, 3) if it is x y z x y z ..."
@@ -161,36 +124,6 @@ Places placesOfColumns(const ArrayFile& file, const NpyHeader& header)
     }
     if (!columns.empty()) places.taken = "columns " + list(taken) + " of " + std::to_string(width);
     return places;
-}
-
-// Values of a shape; nothing where that is past 64 bits.
-std::optional<std::uint64_t> valuesOf(const std::vector<std::uint64_t>& shape)
-{
-    std::uint64_t count = 1;
-    if (std::find(shape.begin(), shape.end(), 0u) != shape.end()) return 0;
-    for (const std::uint64_t size : shape) {
-        if (count > std::numeric_limits<std::uint64_t>::max() / size) return std::nullopt;
-        count *= size;
-    }
-    return count;
-}
-
-// The values are as many as the header says, to the byte.
-void checkSize(const std::string& path, const NpyHeader& header, std::uint64_t available)
-{
-    const std::optional<std::uint64_t> count = valuesOf(header.shape);
-    if (!count || *count > available / header.itemBytes) {
-        throw InputError(path + ": truncated: the .npy header promises shape " + shapeText(header.shape) +
-                         " of " + std::to_string(header.itemBytes) + " bytes each, but only " +
-                         std::to_string(available) + " bytes follow from byte " +
-                         std::to_string(header.dataOffset) + "; copy the file again");
-    }
-    const std::uint64_t needed = *count * header.itemBytes;
-    if (needed != available) {
-        throw InputError(path + ": " + std::to_string(available - needed) + " bytes too many behind the " +
-                         std::to_string(needed) + " of the .npy header's shape, from byte " +
-                         std::to_string(header.dataOffset + needed) + "; write the file again");
-    }
 }
 
 // Converts one coordinate of rows [begin, end). Returns the first row whose integer is no double, or `end`.
@@ -281,10 +214,10 @@ bool isInPlace(const Places& places)
 
 bool parseNpy(const ArrayFile& file, NpyLayout& layout, ReadArray& result)
 {
-    const NpyHeader header = readHeader(file.path, file.bytes);
+    const NpyHeader header = readNpyHeader(file.path, file.bytes);
     const Places places =
         header.isStructured() ? placesOfFields(file, header) : placesOfColumns(file, header);
-    checkSize(file.path, header, file.bytes.size() - header.dataOffset);
+    checkNpySize(file.path, header, file.bytes.size() - header.dataOffset);
     if (places.rows > kMaxFilePoints) {
         throw InputError(file.path + ": " + std::to_string(places.rows) + " points are more than the " +
                          std::to_string(kMaxFilePoints) + " that fit; split the file");
@@ -310,7 +243,7 @@ bool parseNpy(const ArrayFile& file, NpyLayout& layout, ReadArray& result)
 
 std::vector<double> parseNpyValues(const ArrayFile& file, std::uint64_t count)
 {
-    const NpyHeader header = readHeader(file.path, file.bytes);
+    const NpyHeader header = readNpyHeader(file.path, file.bytes);
     const NpyType& type = header.type;
     const std::vector<std::uint64_t>& shape = header.shape;
     const std::string expected = "; expected are " + std::to_string(count) +
@@ -322,11 +255,11 @@ std::vector<double> parseNpyValues(const ArrayFile& file, std::uint64_t count)
                          expected);
     }
     const bool isList = shape.size() == 1 || (shape.size() == 2 && shape[1] == 1);
-    if (!isList) throw InputError(file.path + ": has the shape " + shapeText(shape) + expected);
-    checkSize(file.path, header, file.bytes.size() - header.dataOffset);
+    if (!isList) throw InputError(file.path + ": has the shape " + npyShapeText(shape) + expected);
+    checkNpySize(file.path, header, file.bytes.size() - header.dataOffset);
     if (shape[0] != count) {
         throw InputError(file.path + ": has " + std::to_string(shape[0]) + " values, shape " +
-                         shapeText(shape) + expected);
+                         npyShapeText(shape) + expected);
     }
     checkPointsFit(file.path, count * sizeof(double), file.allowedBytes);
     std::vector<double> values(static_cast<std::size_t>(count));

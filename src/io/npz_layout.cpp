@@ -2,6 +2,8 @@
 // directory, 4.3.14 to 4.3.16 its end, 4.5.3 ZIP64) and numpy.lib.format (the .npy header).
 #include "io/npz_writer.h"
 
+#include <algorithm>
+
 namespace vdb_nns {
 
 namespace {
@@ -13,6 +15,7 @@ constexpr std::uint64_t kMax32 = 0xFFFFFFFFu;
 constexpr std::uint16_t kVersionStored = 20, kVersionZip64 = 45; // "version needed to extract"
 constexpr std::uint16_t kDosTime = 0;                            // 00:00:00
 constexpr std::uint16_t kDosDate = (1 << 5) | 1;                 // 1980-01-01, the earliest there is
+constexpr std::uint16_t kUtf8Flag = 0x0800;
 constexpr std::uint16_t kZip64Field = 0x0001;
 constexpr std::uint16_t kAlignmentField = 0xD935; // the alignment field that Android's zipalign writes
 constexpr std::uint64_t kLocalHeaderBytes = 30, kFieldHeaderBytes = 4;
@@ -21,6 +24,13 @@ void put(std::string& out, std::uint64_t value, int bytes)
 {
     for (int i = 0; i < bytes; ++i) out += static_cast<char>(value >> (8 * i));
 }
+
+bool isAscii(const std::string& text)
+{
+    return std::all_of(text.begin(), text.end(), [](char c) { return static_cast<unsigned char>(c) < 128; });
+}
+
+} // namespace
 
 std::string npyHeader(const std::string& descr, const std::string& shape)
 {
@@ -32,8 +42,8 @@ std::string npyHeader(const std::string& descr, const std::string& shape)
     return header + text + std::string(bytes - unpadded, ' ') + '\n';
 }
 
-NpzMember member(const std::string& name, const std::string& descr, const std::string& shape,
-                 std::uint64_t valueBytes)
+NpzMember npzMember(const std::string& name, const std::string& descr, const std::string& shape,
+                    std::uint64_t valueBytes)
 {
     NpzMember result;
     result.name = name + ".npy";
@@ -41,6 +51,8 @@ NpzMember member(const std::string& name, const std::string& descr, const std::s
     result.valueBytes = valueBytes;
     return result;
 }
+
+namespace {
 
 bool isLarge(const NpzMember& member)
 {
@@ -58,7 +70,7 @@ void putCommon(std::string& out, const NpzMember& member, bool needsZip64)
 {
     const std::uint64_t size = isLarge(member) ? kMax32 : member.bytes();
     put(out, needsZip64 ? kVersionZip64 : kVersionStored, 2);
-    put(out, 0, 2); // flags
+    put(out, isAscii(member.name) ? 0 : kUtf8Flag, 2);
     put(out, 0, 2); // method: stored
     put(out, kDosTime, 2);
     put(out, kDosDate, 2);
@@ -105,16 +117,23 @@ NpzLayout layoutNpz(const NpzShape& shape, std::uint64_t pairCount, ListValues v
     const bool hasDistances = values == ListValues::kDistance;
     const std::string pairShape = std::to_string(pairCount) + ",";
     NpzMember* const m = layout.members;
-    m[NpzLayout::kIndptr] = member("indptr", "<i8", std::to_string(rowCount + 1) + ",", 8 * (rowCount + 1));
-    m[NpzLayout::kIndices] =
-        member("indices", layout.indexBytes == 8 ? "<i8" : "<i4", pairShape, layout.indexBytes * pairCount);
+    m[NpzLayout::kIndptr] =
+        npzMember("indptr", "<i8", std::to_string(rowCount + 1) + ",", 8 * (rowCount + 1));
+    m[NpzLayout::kIndices] = npzMember("indices", layout.indexBytes == 8 ? "<i8" : "<i4", pairShape,
+                                       layout.indexBytes * pairCount);
     m[NpzLayout::kData] =
-        member("data", hasDistances ? "<f4" : "|i1", pairShape, (hasDistances ? 4 : 1) * pairCount);
-    m[NpzLayout::kShape] = member("shape", "<i8", "2,", 16);
-    m[NpzLayout::kFormat] = member("format", "|S3", "", 3);
+        npzMember("data", hasDistances ? "<f4" : "|i1", pairShape, (hasDistances ? 4 : 1) * pairCount);
+    m[NpzLayout::kShape] = npzMember("shape", "<i8", "2,", 16);
+    m[NpzLayout::kFormat] = npzMember("format", "|S3", "", 3);
+    layout.directoryOffset = placeMembers(layout.members, NpzLayout::kMembers);
+    return layout;
+}
 
+std::uint64_t placeMembers(NpzMember* members, std::size_t count)
+{
     std::uint64_t end = 0;
-    for (NpzMember& next : layout.members) {
+    for (std::size_t i = 0; i < count; ++i) {
+        NpzMember& next = members[i];
         next.localOffset = end;
         // The padding is an extra field, whose own header must fit as well.
         const std::uint64_t least =
@@ -122,8 +141,7 @@ NpzLayout layoutNpz(const NpzShape& shape, std::uint64_t pairCount, ListValues v
         next.valueOffset = (least + kAlignment - 1) / kAlignment * kAlignment + next.npyHeader.size();
         end = next.valueOffset + next.valueBytes;
     }
-    layout.directoryOffset = end;
-    return layout;
+    return end;
 }
 
 std::string localHeader(const NpzMember& member)
@@ -151,21 +169,26 @@ std::string localHeader(const NpzMember& member)
 
 std::string centralDirectory(const NpzLayout& layout)
 {
+    return centralDirectory(layout.members, NpzLayout::kMembers, layout.directoryOffset);
+}
+
+std::string centralDirectory(const NpzMember* members, std::size_t count, std::uint64_t offset)
+{
     std::string out;
-    for (const NpzMember& member : layout.members) putDirectoryEntry(out, member);
+    for (std::size_t i = 0; i < count; ++i) putDirectoryEntry(out, members[i]);
     const std::uint64_t bytes = out.size();
-    const std::uint64_t end = layout.directoryOffset + bytes;
-    if (layout.directoryOffset >= kMax32) {
+    const std::uint64_t end = offset + bytes;
+    if (offset >= kMax32) {
         put(out, 0x06064b50, 4); // ZIP64 end of central directory
         put(out, 44, 8);         // bytes that follow
         put(out, 3 << 8 | kVersionZip64, 2);
         put(out, kVersionZip64, 2);
         put(out, 0, 4); // this disk
         put(out, 0, 4); // disk of the directory
-        put(out, NpzLayout::kMembers, 8);
-        put(out, NpzLayout::kMembers, 8);
+        put(out, count, 8);
+        put(out, count, 8);
         put(out, bytes, 8);
-        put(out, layout.directoryOffset, 8);
+        put(out, offset, 8);
         put(out, 0x07064b50, 4); // its locator
         put(out, 0, 4);
         put(out, end, 8);
@@ -174,10 +197,10 @@ std::string centralDirectory(const NpzLayout& layout)
     put(out, 0x06054b50, 4);
     put(out, 0, 2);
     put(out, 0, 2);
-    put(out, NpzLayout::kMembers, 2);
-    put(out, NpzLayout::kMembers, 2);
+    put(out, count, 2);
+    put(out, count, 2);
     put(out, bytes, 4);
-    put(out, layout.directoryOffset >= kMax32 ? kMax32 : layout.directoryOffset, 4);
+    put(out, offset >= kMax32 ? kMax32 : offset, 4);
     put(out, 0, 2); // comment
     return out;
 }

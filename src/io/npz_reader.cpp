@@ -18,6 +18,8 @@ constexpr std::uint32_t kEnd = 0x06054b50, kEnd64 = 0x06064b50, kEnd64Locator = 
                         kEntry = 0x02014b50, kLocal = 0x04034b50;
 constexpr std::uint16_t kStored = 0, kDeflated = 8, kEncrypted = 1, kZip64Field = 1;
 constexpr std::size_t kEndBytes = 22, kMostCommentBytes = 65535, kEntryBytes = 46, kLocalBytes = 30;
+// What is looked at of an array whose values are not wanted: more than its header can have.
+constexpr std::uint64_t kHeadBytes = std::uint64_t(66) << 10;
 // Deflate makes at most 1032 bytes of one.
 constexpr std::uint64_t kMostExpansion = 1032;
 
@@ -49,14 +51,22 @@ public:
         return members;
     }
 
+    // The first bytes of a member, enough for the header of an array; its checksum is not looked at.
+    FileBytes readHead(const Member& member, std::vector<unsigned char>& storage) const
+    {
+        const std::uint64_t begin = beginOf(member);
+        const FileBytes stored(take(begin, member.storedBytes), static_cast<std::size_t>(member.storedBytes));
+        if (member.method == kStored) return stored;
+        if (member.method != kDeflated) fail("a member that is stored or deflated", member.localOffset);
+        storage.resize(static_cast<std::size_t>(std::min(member.bytes, kHeadBytes)));
+        inflateInto(stored, storage, begin, member.bytes > kHeadBytes);
+        return {storage.data(), storage.size()};
+    }
+
     // The bytes of a member, in the file or decompressed into `storage`.
     FileBytes read(const Member& member, std::vector<unsigned char>& storage) const
     {
-        if (member.flags & kEncrypted) fail("a member that is not encrypted", member.localOffset);
-        if (at<std::uint32_t>(member.localOffset) != kLocal) fail("a local header", member.localOffset);
-        const std::uint64_t begin = member.localOffset + kLocalBytes +
-                                    at<std::uint16_t>(member.localOffset + 26) +
-                                    at<std::uint16_t>(member.localOffset + 28);
+        const std::uint64_t begin = beginOf(member);
         const unsigned char* const stored = take(begin, member.storedBytes);
         FileBytes bytes(stored, static_cast<std::size_t>(member.storedBytes));
         if (member.method == kDeflated) {
@@ -64,7 +74,7 @@ public:
                 fail("a size that deflate can have", begin);
             checkPointsFit(mFile.path, member.bytes, mFile.allowedBytes);
             storage.resize(static_cast<std::size_t>(member.bytes));
-            inflateInto(bytes, storage, begin);
+            inflateInto(bytes, storage, begin, /*isHead=*/false);
             bytes = {storage.data(), storage.size()};
         } else if (member.method != kStored || member.bytes != member.storedBytes) {
             fail("a member that is stored or deflated", member.localOffset);
@@ -75,6 +85,15 @@ public:
     }
 
 private:
+    // Of its values in the file.
+    std::uint64_t beginOf(const Member& member) const
+    {
+        if (member.flags & kEncrypted) fail("a member that is not encrypted", member.localOffset);
+        if (at<std::uint32_t>(member.localOffset) != kLocal) fail("a local header", member.localOffset);
+        return member.localOffset + kLocalBytes + at<std::uint16_t>(member.localOffset + 26) +
+               at<std::uint16_t>(member.localOffset + 28);
+    }
+
     [[noreturn]] void fail(const std::string& expected, std::uint64_t at) const
     {
         throw InputError(mFile.path + ": is no .npz file that can be read: expected " + expected +
@@ -145,14 +164,15 @@ private:
         }
     }
 
-    void inflateInto(FileBytes from, std::vector<unsigned char>& out, std::uint64_t begin) const
+    // @param isHead the member has more bytes than `out`
+    void inflateInto(FileBytes from, std::vector<unsigned char>& out, std::uint64_t begin, bool isHead) const
     {
         constexpr std::size_t kPiece = std::size_t(64) << 20; // zlib counts in 32 bits
         z_stream stream{};
         if (::inflateInit2(&stream, -MAX_WBITS) != Z_OK) throw std::bad_alloc();
         std::size_t taken = 0, made = 0;
         int status = Z_OK;
-        while (status == Z_OK) {
+        while (status == Z_OK && !(isHead && made == out.size())) {
             mFile.cancel.check();
             const std::size_t in = std::min(kPiece, from.size() - taken),
                               room = std::min(kPiece, out.size() - made);
@@ -165,7 +185,7 @@ private:
             made += room - stream.avail_out;
         }
         ::inflateEnd(&stream);
-        if (status != Z_STREAM_END || made != out.size()) fail("deflated values", begin);
+        if ((status != Z_STREAM_END && !isHead) || made != out.size()) fail("deflated values", begin);
     }
 
     const ArrayFile& mFile;
@@ -179,6 +199,9 @@ const Member& choose(const ArrayFile& file, const std::vector<Member>& members)
     if (members.empty()) throw InputError(file.path + ": the .npz file has no arrays");
     if (file.choice.array.empty()) {
         if (members.size() == 1) return members[0];
+        for (const Member& member : members) {
+            if (member.name == "positions") return member; // as we write it
+        }
         throw InvalidInput(file.path + ": has several arrays: " + names + "; name one of them (--array)");
     }
     for (const Member& member : members) {
@@ -188,6 +211,53 @@ const Member& choose(const ArrayFile& file, const std::vector<Member>& members)
 }
 
 } // namespace
+
+std::vector<StoredValue> listNpzArrays(const ArrayFile& file, std::uint64_t points)
+{
+    const ZipReader zip(file);
+    const std::vector<Member> members = zip.readDirectory();
+    const Member& positions = choose(file, members);
+    std::vector<StoredValue> list;
+    for (const Member& member : members) {
+        if (&member == &positions) continue;
+        const auto hasName = [&](const Member& other) { return other.name == member.name; };
+        if (std::count_if(members.begin(), members.end(), hasName) > 1) {
+            list.push_back({member.name, "unknown", false, {}, "is there twice"});
+            continue;
+        }
+        std::vector<unsigned char> storage;
+        const std::string path = file.path + ": array '" + shownText(member.name) + "'";
+        try {
+            list.push_back(describeNpyValues(path, member.name, zip.readHead(member, storage), points));
+        } catch (const InputError&) { // it may be anything, and is in nobody's way
+            list.push_back({member.name, "unknown", false, {}, "is no .npy array that can be read"});
+        }
+    }
+    return list;
+}
+
+PointValues readNpzArrays(const ArrayFile& file, const std::vector<StoredValue>& which, std::uint64_t points)
+{
+    const ZipReader zip(file);
+    const std::vector<Member> members = zip.readDirectory();
+    std::uint64_t rowBytes = 0;
+    for (const StoredValue& value : which) rowBytes += value.isGroup ? 1 : attributeBytes(*value.readAs);
+    checkPointsFit(file.path, rowBytes * points, file.allowedBytes);
+    PointValues values;
+    for (const StoredValue& value : which) {
+        const auto member = std::find_if(members.begin(), members.end(),
+                                         [&](const Member& each) { return each.name == value.name; });
+        const std::string path = file.path + ": array '" + shownText(value.name) + "'";
+        if (member == members.end()) throw InputError(path + " is not there any more; start again");
+        std::vector<unsigned char> storage;
+        const FileBytes bytes = zip.read(*member, storage);
+        const StoredValue found = describeNpyValues(path, value.name, bytes, points);
+        if (found.readAs != value.readAs || found.isGroup != value.isGroup)
+            throw InputError(path + " has changed since it was looked at; start again");
+        readNpyValues({path, bytes, file.choice, file.allowedBytes, file.cancel}, value, points, values);
+    }
+    return values;
+}
 
 ReadArray parseNpz(const ArrayFile& file)
 {

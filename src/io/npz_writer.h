@@ -23,6 +23,18 @@ struct NpzMember {
     std::uint64_t bytes() const { return npyHeader.size() + valueBytes; }
 };
 
+// What stands before the values of an .npy: a multiple of 64 bytes. `shape` without its parentheses: "4, 3", "4,".
+std::string npyHeader(const std::string& descr, const std::string& shape);
+
+NpzMember npzMember(const std::string& name, const std::string& descr, const std::string& shape,
+                    std::uint64_t valueBytes);
+
+// Places members one after the other and returns where their directory begins.
+std::uint64_t placeMembers(NpzMember* members, std::size_t count);
+
+// What stands at that offset, to the end of the file. Of less than 65535 members.
+std::string centralDirectory(const NpzMember* members, std::size_t count, std::uint64_t offset);
+
 // All places are known before the first value is written.
 struct NpzLayout {
     enum { kIndptr, kIndices, kData, kShape, kFormat, kMembers };

@@ -5,6 +5,7 @@
 #include "io/byte_source.h"
 #include "io/vdb_file.h"
 #include "points/particle_source.h"
+#include "points/value_check.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
 #include "util/memory.h"
@@ -20,6 +21,7 @@
 #include <cstring>
 #include <filesystem>
 #include <limits>
+#include <memory>
 #include <mutex>
 #include <optional>
 #include <utility>
@@ -32,7 +34,8 @@ struct PointFile::Data {
     PointFileInfo info;         // all but the pass over the positions
     std::uint64_t fileBytes = 0;
     std::uint64_t hostMemoryBytes = 0; // PointFileOptions::hostMemoryBytes
-    std::mutex mutex;                  // of what follows
+    ArrayChoice choice;
+    std::mutex mutex; // of what follows
     std::optional<PointFileInfo> fullInfo;
 };
 
@@ -246,17 +249,25 @@ void checkUnchanged(const InputFile& file, std::uint64_t bytes)
 
 // parse(ArrayFile) of a whole file.
 template <typename Parse>
-std::vector<double> parseValues(const InputFile& file, std::uint64_t allowedBytes, const CancelCheck& cancel,
-                                const Parse& parse)
+auto parseValues(const InputFile& file, const ArrayChoice& choice, std::uint64_t allowedBytes,
+                 const CancelCheck& cancel, const Parse& parse)
 {
     cancel.update(0);
     checkPointsFit(file.name(), file.size(), allowedBytes);
     const PageBlock block = readBytes(file, cancel);
     const FileBytes bytes(static_cast<const unsigned char*>(block.data()),
                           static_cast<std::size_t>(file.size()));
-    std::vector<double> values = parse(ArrayFile{file.name(), bytes, {}, allowedBytes - file.size(), cancel});
+    auto values = parse(ArrayFile{file.name(), bytes, choice, allowedBytes - file.size(), cancel});
     cancel.update(1);
     return values;
+}
+
+// The second pass over a .ply found as many vertices as the first one.
+void checkVertices(const PointFile::Data& data, std::size_t vertices)
+{
+    if (vertices == data.view.size()) return;
+    failChanged(data.info.path, "it had " + std::to_string(data.view.size()) + " vertices and has " +
+                                    std::to_string(vertices));
 }
 
 } // namespace
@@ -281,6 +292,7 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
     const InputFile file(path);
     data.fileBytes = file.size();
     data.hostMemoryBytes = options.hostMemoryBytes;
+    data.choice = {options.columns, options.array};
     const std::uint64_t allowedBytes = allowedMemory(options.hostMemoryBytes);
     const auto readFile = [&] {
         const CancelCheck cancel(options.progress, "read");
@@ -290,8 +302,7 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
         } else {
             cancel.update(0);
             checkPointsFit(path, file.size(), allowedBytes);
-            data.view =
-                readArray(file, *array, {options.columns, options.array}, allowedBytes, cancel, data.info);
+            data.view = readArray(file, *array, data.choice, allowedBytes, cancel, data.info);
             cancel.update(1);
         }
     };
@@ -346,14 +357,62 @@ std::vector<double> PointFile::readScalars(const std::string& name, Progress* pr
         checkUnchanged(file, data.fileBytes);
         const std::uint64_t allowedBytes = allowedMemory(data.hostMemoryBytes);
         if (data.vdb) return data.vdb->readScalars(file, name, allowedBytes, cancel);
-        std::vector<double> values = parseValues(file, allowedBytes, cancel, [&](const ArrayFile& array) {
-            return parsePlyProperty(array, name);
-        });
-        if (values.size() != data.view.size()) {
-            failChanged(path, "it had " + std::to_string(data.view.size()) + " vertices and has " +
-                                  std::to_string(values.size()));
-        }
+        std::vector<double> values =
+            parseValues(file, data.choice, allowedBytes, cancel,
+                        [&](const ArrayFile& array) { return parsePlyProperty(array, name); });
+        checkVertices(data, values.size());
         return values;
+    });
+}
+
+std::vector<StoredValue> PointFile::listValues(Progress* progress) const
+{
+    const Data& data = *mData;
+    if (!data.vdb && data.info.format != "npz") {
+        return listPlyProperties(data.info.attributes);
+    }
+    return isolated([&] {
+        const CancelCheck cancel(progress, "read");
+        const InputFile file(data.info.path);
+        checkUnchanged(file, data.fileBytes);
+        if (data.vdb) return data.vdb->listValues(file, cancel);
+        return parseValues(file, data.choice, allowedMemory(data.hostMemoryBytes), cancel,
+                           [&](const ArrayFile& array) { return listNpzArrays(array, data.view.size()); });
+    });
+}
+
+PointValues PointFile::readValues(const std::vector<StoredValue>& which, Progress* progress) const
+{
+    const Data& data = *mData;
+    for (const StoredValue& value : which) {
+        if (!value.isGroup && !value.readAs)
+            throw InvalidInput(data.info.path + ": '" + value.name + "' " + value.problem);
+    }
+    if (which.empty()) return {};
+    return isolated([&] {
+        const CancelCheck cancel(progress, "read");
+        const InputFile file(data.info.path);
+        checkUnchanged(file, data.fileBytes);
+        const std::uint64_t allowedBytes = allowedMemory(data.hostMemoryBytes);
+        if (data.vdb) {
+            PointValues values = data.vdb->readAttributes(file, which, allowedBytes, cancel);
+            for (const StoredValue& value : which) {
+                if (!value.isGroup) continue;
+                const auto members = std::make_shared<std::vector<std::uint8_t>>(
+                    data.vdb->readGroups(file, value.name, allowedBytes, cancel));
+                values.groups.push_back({value.name, members->size(), {members, members->data()}});
+            }
+            return values;
+        }
+        return parseValues(file, data.choice, allowedBytes, cancel, [&](const ArrayFile& array) {
+            if (data.info.format == "npz") return readNpzArrays(array, which, data.view.size());
+            PointValues values;
+            for (const StoredValue& value : which) {
+                values.attributes.push_back(readPlyAttribute(array, value));
+                checkVertices(data, static_cast<std::size_t>(values.attributes.back().count));
+            }
+            return values;
+        });
     });
 }
 
@@ -376,7 +435,7 @@ std::vector<double> readRadiusFile(const std::string& path, std::uint64_t count,
 {
     return isolated([&] {
         const CancelCheck cancel(progress, "read");
-        return parseValues(InputFile(path), availableMemoryBytes(), cancel,
+        return parseValues(InputFile(path), {}, availableMemoryBytes(), cancel,
                            [&](const ArrayFile& array) { return parseNpyValues(array, count); });
     });
 }
@@ -384,15 +443,20 @@ std::vector<double> readRadiusFile(const std::string& path, std::uint64_t count,
 void PointFile::writeVdb(const std::string& path, Span<const std::uint32_t> counts, const std::string& prefix,
                          const OutputOptions& options, Progress* progress) const
 {
+    const PointAttribute attribute = countAttribute(mData->info.path + ": ", prefix + "count", counts);
+    writeVdb(path, PointValues{{attribute}, {}}, options, progress);
+}
+
+void PointFile::writeVdb(const std::string& path, const PointValues& values, const OutputOptions& options,
+                         Progress* progress) const
+{
     if (!mData->vdb) {
         throw InvalidInput(mData->info.path +
                            ": result attributes are written to .vdb files only, and this is a ." +
                            mData->info.format + " file; write lists (.npz) instead");
     }
-    isolated([&] {
-        writeVdbResult(mData->info.path, mData->vdb->chosenGrid(), path, counts, prefix + "count", options,
-                       progress);
-    });
+    isolated(
+        [&] { writeVdbResult(mData->info.path, mData->vdb->chosenGrid(), path, values, options, progress); });
 }
 
 } // namespace vdb_nns

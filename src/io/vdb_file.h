@@ -1,4 +1,4 @@
-// A .vdb file with a point grid: its points, and the same file again with one attribute more. Hides what reads and what
+// A .vdb file with a point grid: its points and their values, and the same file again with more values. Hides what reads and what
 // writes it from point_file.cpp.
 #pragma once
 
@@ -26,9 +26,13 @@ public:
     // Of the file.
     std::size_t chosenGrid() const { return mChosen; }
 
-    // As PointFile::readScalars() and readGroups(). `file` is the one that was read, opened again.
+    // As PointFile::readScalars(), listValues(), readValues() and readGroups(). `file` is the one that was read, opened again.
     std::vector<double> readScalars(const ByteSource& file, const std::string& name,
                                     std::uint64_t allowedBytes, const CancelCheck& cancel) const;
+    std::vector<StoredValue> listValues(const ByteSource& file, const CancelCheck& cancel) const;
+    // Attributes alone; groups are left to readGroups().
+    PointValues readAttributes(const ByteSource& file, const std::vector<StoredValue>& which,
+                               std::uint64_t allowedBytes, const CancelCheck& cancel) const;
     std::vector<std::uint8_t> readGroups(const ByteSource& file, const std::string& list,
                                          std::uint64_t allowedBytes, const CancelCheck& cancel) const;
 
@@ -43,9 +47,8 @@ private:
     ParticleView mView;
 };
 
-// As PointFile::writeVdb(), by OpenVDB, which reads the file again: the grid of that number gets the attribute.
+// As PointFile::writeVdb(), by OpenVDB, which reads the file again: the grid of that number gets the values.
 void writeVdbResult(const std::string& from, std::size_t grid, const std::string& path,
-                    Span<const std::uint32_t> counts, const std::string& attribute,
-                    const OutputOptions& options, Progress* progress);
+                    const PointValues& values, const OutputOptions& options, Progress* progress);
 
 } // namespace vdb_nns

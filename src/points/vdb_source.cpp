@@ -1,19 +1,15 @@
-// Positions of an OpenVDB point grid, read where they lie: nothing is copied but one entry a leaf. And result
-// attributes back into a grid. Delayed loading is never used: an out-of-core leaf is refused, so that reading
+// Positions of an OpenVDB point grid, read where they lie: nothing is copied but one entry a leaf. Delayed loading is never used: an out-of-core leaf is refused, so that reading
 // needs no locks.
 #include "vdb_nns/openvdb_bridge.h"
 
 #include "points/leaf_lookup.h"
 #include "points/occupied_voxels.h"
 #include "points/particle_source.h"
-#include "points/point_attribute.h"
 #include "points/transform_check.h"
 #include "util/isolate.h"
 #include "vdb_nns/error.h"
 
 #include <openvdb/points/AttributeArray.h>
-#include <openvdb/points/PointAttribute.h>
-#include <openvdb/tree/LeafManager.h>
 
 #include <oneapi/tbb/blocked_range.h>
 #include <oneapi/tbb/parallel_for.h>
@@ -411,88 +407,12 @@ void VdbSource::readVoxels(std::size_t begin, std::size_t count, std::uint16_t* 
     }
 }
 
-// ------------------------------------------------------------------------------------------------ attributes
-
-using CountArray = points::TypedAttributeArray<std::int32_t, NullCodec>;
-
-// Makes room for the values: the attribute of that name as an int32 array, and its place in the descriptor.
-std::size_t prepareAttribute(points::PointDataGrid& grid, const std::string& name, bool overwrite)
-{
-    points::PointDataTree& tree = grid.tree();
-    if (!points::AttributeSet::Descriptor::validName(name)) {
-        throw InvalidInput("'" + name + "' is no valid attribute name; use letters, digits and _ | . : -");
-    }
-    const points::AttributeSet& attributes = tree.cbeginLeaf()->attributeSet();
-    const std::size_t existing = attributes.find(name);
-    if (existing != points::AttributeSet::INVALID_POS) {
-        if (!overwrite) {
-            throw InvalidInput(gridText(grid) + "attribute '" + name +
-                               "' exists already; allow overwriting (--force) or choose another prefix");
-        }
-        if (name == "P" || points::isGroup(*attributes.getConst(existing))) {
-            throw InvalidInput(gridText(grid) + "attribute '" + name +
-                               "' holds positions or groups and is never replaced; choose another prefix");
-        }
-        points::dropAttribute(tree, name);
-    }
-    points::appendAttribute<std::int32_t>(tree, name);
-    return tree.cbeginLeaf()->attributeSet().find(name);
-}
-
 } // namespace
 
 ParticleView viewOf(const points::PointDataGrid::ConstPtr& grid)
 {
     if (!grid) throw InvalidInput("viewOf needs a point grid, not a null pointer");
     return isolated([&] { return ParticleView(std::make_shared<VdbSource>(grid)); });
-}
-
-void setPointAttribute(points::PointDataGrid& grid, const std::string& name, Span<const std::uint32_t> values,
-                       bool overwrite)
-{
-    setPointAttribute(grid, name, values, overwrite, CancelCheck(nullptr, ""));
-}
-
-void setPointAttribute(points::PointDataGrid& grid, const std::string& name, Span<const std::uint32_t> values,
-                       bool overwrite, const CancelCheck& cancel)
-{
-    std::vector<Leaf*> leaves;
-    grid.tree().getNodes(leaves);
-    std::vector<std::uint64_t> starts(1, 0);
-    for (const Leaf* leaf : leaves) starts.push_back(starts.back() + openvdb::Index32(leaf->getLastValue()));
-    if (starts.back() != values.size()) {
-        throw InvalidInput(gridText(grid) + std::to_string(values.size()) + " values for " +
-                           std::to_string(starts.back()) + " points; give one value a point");
-    }
-    constexpr std::uint32_t kMax = std::numeric_limits<std::int32_t>::max();
-    const auto tooLarge =
-        std::find_if(values.begin(), values.end(), [](std::uint32_t v) { return v > kMax; });
-    if (tooLarge != values.end()) {
-        throw InvalidInput(gridText(grid) + "value " + std::to_string(*tooLarge) + " of point " +
-                           std::to_string(tooLarge - values.begin()) + " does not fit the int32 attribute '" +
-                           name + "' (at most " + std::to_string(kMax) + ")");
-    }
-    if (leaves.empty()) return; // attributes live in leaves
-
-    const auto setValues = [&] {
-        const std::size_t position = prepareAttribute(grid, name, overwrite);
-        tbb::parallel_for(std::size_t(0), leaves.size(), [&](std::size_t i) {
-            if (i % 1024 == 0) cancel.check();
-            CountArray& array = CountArray::cast(leaves[i]->attributeArray(position));
-            array.expand(/*fill=*/false);
-            const std::uint64_t count = starts[i + 1] - starts[i];
-            for (openvdb::Index n = 0; n < count; ++n) {
-                array.setUnsafe(n, static_cast<std::int32_t>(values[starts[i] + n]));
-            }
-            if (count == 0) array.fill(0); // OpenVDB holds no array shorter than one
-        });
-    };
-    try {
-        isolated(setValues);
-    } catch (const openvdb::Exception& error) {
-        throw InputError(gridText(grid) + "attribute '" + name + "' cannot be added: " + error.what() +
-                         "; its leaves must share one set of attributes");
-    }
 }
 
 } // namespace vdb_nns

@@ -66,7 +66,8 @@ class Targets(CliCase):
         bench = ["bench", path, "--method", "ours-count", "--repeat", "1", "--sample", "0"]
         return {"x.npz": ["search", path, "-o"], "x.vdb": ["search", path, "-o"], "x.json": ["search", path, "--json"],
                 "x.svg": ["plan", path, "--svg"], "x.csv": [*bench, "--csv"], "x.raw": [*bench, "--points-out"],
-                "x.html": [*bench, "--study", "methods", "--chart"], "s.vdb": ["scene", "block", "-n", "50", "-o"]}
+                "x.html": [*bench, "--study", "methods", "--chart"], "s.vdb": ["scene", "block", "-n", "50", "-o"],
+                **{"points." + kind: ["convert", path, "-o"] for kind in ("vdb", "ply", "npz", "npy")}}
 
     def test_links_and_permissions_are_kept(self):
         os.mkdir(self.path("elsewhere"))

@@ -41,7 +41,7 @@ class Help(CliCase):
 
     def test_markdown_has_every_flag_of_help(self):
         table = self.succeeds("--help-markdown").out
-        for command in ("search", "scene", "verify", "bench", "info"):
+        for command in ("search", "scene", "verify", "bench", "convert", "info"):
             section = table.split(f"### `vdb_nns {command}`")[1].split("###")[0]
             flags = re.findall(r"--[a-z][a-z-]*", run(command, "--help").out)
             self.assertGreater(len(flags), 4)
@@ -259,6 +259,10 @@ class Scene(CliCase):
             self.fails(2, "scene", *args, "-o", out)
         self.fails(2, "scene", "block", "-n", "10", "-o", self.path("x.npy"), says="x.npy")
         self.fails(2, "scene", "block", "-n", "10")
+
+    def test_tiny_spacing(self):
+        path = self.scene("block", 1000, "--spacing", "1e-7")
+        self.assertEqual(self.report("info", path)["voxel_size"], [2e-7] * 3)
 
     def test_same_seed_same_bytes_but_the_uuid(self):
         files = []

@@ -9,6 +9,9 @@ extern "C" int LLVMFuzzerTestOneInput(const unsigned char* data, std::size_t siz
                 vdb_nns::parseNpyValues(file, count);
             } catch (const vdb_nns::InputError&) { // of another length
             }
+            const vdb_nns::StoredValue value = vdb_nns::describeNpyValues(file.path, "a", file.bytes, count);
+            vdb_nns::PointValues values;
+            if (value.problem.empty()) vdb_nns::readNpyValues(file, value, count, values);
         }
     });
     return vdb_nns::readFuzzed(data, size, [](const vdb_nns::ArrayFile& file) {

@@ -52,26 +52,34 @@ std::string littleEndian(std::uint64_t value, int bytes)
     return text;
 }
 
-// A ZIP with one stored member.
-std::string npzSeed(const std::string& content)
+// A ZIP with stored members.
+std::string npzSeed(const std::vector<std::string>& contents)
 {
-    const std::string name = "a.npy";
-    const auto crc =
-        crc32(0, reinterpret_cast<const Bytef*>(content.data()), static_cast<uInt>(content.size()));
-    const std::string common = littleEndian(20, 2) + littleEndian(0, 4 + 4) + littleEndian(crc, 4) +
-                               littleEndian(content.size(), 4) + littleEndian(content.size(), 4) +
-                               littleEndian(name.size(), 2) + littleEndian(0, 2);
-    const std::string local = "PK\3\4" + common + name + content;
-    const std::string entry = "PK\1\2" + littleEndian(20, 2) + common + littleEndian(0, 14) + name;
-    return local + entry + "PK\5\6" + littleEndian(0, 4) + littleEndian(1, 2) + littleEndian(1, 2) +
-           littleEndian(entry.size(), 4) + littleEndian(local.size(), 4) + littleEndian(0, 2);
+    std::string locals, entries;
+    for (std::size_t i = 0; i < contents.size(); ++i) {
+        const std::string& content = contents[i];
+        const std::string name = std::string(1, static_cast<char>('a' + i)) + ".npy";
+        const auto crc =
+            crc32(0, reinterpret_cast<const Bytef*>(content.data()), static_cast<uInt>(content.size()));
+        const std::string common = littleEndian(20, 2) + littleEndian(0, 4 + 4) + littleEndian(crc, 4) +
+                                   littleEndian(content.size(), 4) + littleEndian(content.size(), 4) +
+                                   littleEndian(name.size(), 2) + littleEndian(0, 2);
+        entries += "PK\1\2" + littleEndian(20, 2) + common + littleEndian(0, 10) +
+                   littleEndian(locals.size(), 4) + name;
+        locals += "PK\3\4" + common + name + content;
+    }
+    return locals + entries + "PK\5\6" + littleEndian(0, 4) + littleEndian(contents.size(), 2) +
+           littleEndian(contents.size(), 2) + littleEndian(entries.size(), 4) +
+           littleEndian(locals.size(), 4) + littleEndian(0, 2);
 }
 
 std::vector<std::string> seedsOf(const std::string& format)
 {
     if (format == "npz") {
-        return {npzSeed(npySeed("<f4", "(2, 3)", 24)), npzSeed(npySeed(">i8", "(1, 4)", 32)),
-                npzSeed("no array")};
+        return {npzSeed({npySeed("<f4", "(2, 3)", 24)}), npzSeed({npySeed(">i8", "(1, 4)", 32)}),
+                npzSeed({"no array"}),
+                npzSeed({npySeed("<f4", "(2, 3)", 24), npySeed("|b1", "(2,)", 2),
+                         npySeed("<u8", "(2, 1)", 16), npySeed("<f2", "(2, 3, 3)", 36)})};
     }
     if (format == "npy") {
         return {npySeed("<f4", "(2, 3)", 24), npySeed("<f8", "(2, 3)", 48), npySeed("<f4", "(0, 3)", 0),

@@ -3,6 +3,7 @@
 #include "vdb_nns/planning/executor.h"
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/search_job.h"
+#include "vdb_nns/write_points.h"
 
 #include <gtest/gtest.h>
 
@@ -192,6 +193,18 @@ TEST_F(ThrowingProgressFiles, LeavesWritersWithoutAFile)
         options.progress = progress;
         streamNpz(out, engine, lists, ListValues::kConnectivity, {}, 0, options);
     });
+    std::vector<std::uint8_t> members(mScene.count, 1);
+    PointValues values;
+    values.attributes = {
+        viewAttribute("position", AttributeType::kVec3d, mMade.positions.data(), mScene.count)};
+    values.groups = {viewGroup("all", {members.data(), members.size()})};
+    expectNoFile("values into a vdb", [&](Progress* progress) { file.writeVdb(out, values, {}, progress); });
+    expectNoFile("new vdb",
+                 [&](Progress* progress) { writeNewVdb(out, file.view(), values, {}, {}, progress); });
+    expectNoFile("ply", [&](Progress* progress) { writePly(out, file.view(), values, {}, progress); });
+    expectNoFile("arrays",
+                 [&](Progress* progress) { writePointsNpz(out, file.view(), values, {}, progress); });
+    expectNoFile("positions", [&](Progress* progress) { writePointsNpy(out, file.view(), {}, progress); });
     for (const ListValues values : {ListValues::kConnectivity, ListValues::kDistance}) {
         expectNoFile("npz while searching", [&](Progress* progress) {
             JobOptions options;

@@ -125,9 +125,9 @@ int runCommandLine(int argc, char** argv)
         app.add_flag("--help-markdown", asMarkdown, "print all flags as Markdown tables");
         app.require_subcommand(0, 1);
         app.allow_extras(); // see unknownWords()
-        const std::vector<Command> commands = {addSearchCommand(app), addPlanCommand(app),
-                                               addSceneCommand(app),  addVerifyCommand(app),
-                                               addBenchCommand(app),  addInfoCommand(app)};
+        const std::vector<Command> commands = {
+            addSearchCommand(app), addPlanCommand(app),    addSceneCommand(app), addVerifyCommand(app),
+            addBenchCommand(app),  addConvertCommand(app), addInfoCommand(app)};
         for (const Command& command : commands) command.app->allow_extras();
         app.footer("vdb_nns help COMMAND says more."); // last: commands made after it would have it too
         std::vector<std::string> words = withHelp({argv + std::min(argc, 1), argv + argc});

@@ -106,7 +106,9 @@ void addInputFlags(CLI::App& app, InputFlags& flags, bool withRadius)
                    "says, else the first three")
         ->type_name("LIST")
         ->check(notEmpty());
-    app.add_option("--array", flags.array, "array of an .npz; default: the only one")
+    app.add_option(
+           "--array", flags.array,
+           "array of an .npz that holds the positions; default: the only one, else the one named positions")
         ->type_name("NAME")
         ->check(notEmpty());
     if (withRadius) {

@@ -26,6 +26,7 @@ Command addPlanCommand(CLI::App& app);
 Command addSceneCommand(CLI::App& app);
 Command addVerifyCommand(CLI::App& app);
 Command addBenchCommand(CLI::App& app);
+Command addConvertCommand(CLI::App& app);
 Command addInfoCommand(CLI::App& app);
 
 } // namespace vdb_nns::cli

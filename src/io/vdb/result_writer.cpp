@@ -1,15 +1,16 @@
-// Writes a .vdb file again with one attribute more, by OpenVDB. That reads the file for it; whether its parts are where they
+// Writes a .vdb file again with attributes and groups more, by OpenVDB. That reads the file for it; whether its parts are where they
 // should be has been found by readers of our own before.
 #include "io/output_file.h"
 #include "io/vdb/archive.h"
 #include "io/vdb/seekable_archive.h"
 #include "io/vdb_file.h"
-#include "points/point_attribute.h"
+#include "points/point_grid.h"
 #include "util/cancel.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/memory.h"
 
 #include <openvdb/io/GridDescriptor.h>
+#include <openvdb/openvdb.h>
 
 #include <algorithm>
 #include <cstring>
@@ -230,7 +231,7 @@ std::vector<openvdb::GridBase::Ptr> readOtherGrids(Archive& archive, std::size_t
     return grids;
 }
 
-// What is written: the grids of the file, one of them with an attribute more.
+// What is written: the grids of the file, one of them with values more.
 struct Content {
     openvdb::GridCPtrVec grids;
     openvdb::MetaMap metadata;
@@ -238,8 +239,8 @@ struct Content {
     bool hasStatistics = false;
 };
 
-Content readContent(const std::string& from, std::size_t chosen, Span<const std::uint32_t> counts,
-                    const std::string& attribute, bool overwrite, const CancelCheck& cancel)
+Content readContent(const std::string& from, std::size_t chosen, const PointValues& values, bool overwrite,
+                    const CancelCheck& cancel)
 {
     const InputFile file(from);
     std::optional<Archive> opened;
@@ -250,7 +251,7 @@ Content readContent(const std::string& from, std::size_t chosen, Span<const std:
         throw InputError(from + ": has changed since it was read; read it again");
     points::PointDataGrid::Ptr own;
     guardRead(from, [&] { own = openvdb::gridPtrCast<points::PointDataGrid>(archive.read(chosen)); });
-    setPointAttribute(*own, attribute, counts, overwrite, cancel);
+    addPointValues(*own, values, overwrite, nullptr, 0, cancel);
     Content content;
     for (const auto& grid : readOtherGrids(archive, chosen, own, cancel)) content.grids.push_back(grid);
     content.metadata = archive.metadata();
@@ -264,13 +265,12 @@ Content readContent(const std::string& from, std::size_t chosen, Span<const std:
 } // namespace
 
 void writeVdbResult(const std::string& from, std::size_t grid, const std::string& path,
-                    Span<const std::uint32_t> counts, const std::string& attribute,
-                    const OutputOptions& options, Progress* progress)
+                    const PointValues& values, const OutputOptions& options, Progress* progress)
 {
     openvdb::initialize();
     const CancelCheck cancel(progress, "write");
     cancel.update(0);
-    const Content content = readContent(from, grid, counts, attribute, options.overwrite, cancel);
+    const Content content = readContent(from, grid, values, options.overwrite, cancel);
 
     OutputFile file(path, options);
     SeekableArchive out;

@@ -309,7 +309,8 @@ Positions readNpzPoints(const PointInput& input)
     const std::string& wanted = input.options.array;
     std::string found;
     for (const std::string& name : names) {
-        if (name == wanted + ".npy" || (wanted.empty() && names.size() == 1)) found = name;
+        const bool isDefault = names.size() == 1 || name == "positions.npy";
+        if (name == wanted + ".npy" || (wanted.empty() && isDefault)) found = name;
     }
     if (found.empty()) {
         throw InvalidInput(input.path + ": has " + std::to_string(names.size()) + " arrays, and '" + wanted +
