@@ -256,6 +256,26 @@ std::vector<MethodSpec> parseMethods(const std::string& list, const MethodSuits&
     return specs;
 }
 
+std::string missingSearch(const MethodSpec& spec, const SetSearch& search)
+{
+    if (search.isPlain()) return {};
+    const bool isGather = search.radius.isOne() || search.radius.mode == RadiusMode::kGather;
+    switch (spec.kind) {
+    case MethodKind::kEngine:
+        return search.nearest > 0 && spec.encoding == Encoding::kMask ? "holds no masks of the nearest" : "";
+    case MethodKind::kDevice:
+        return "devices search all particles within one radius";
+    case MethodKind::kAblation:
+    case MethodKind::kApproximate:
+        return "searches all particles within one radius";
+    case MethodKind::kPeer:
+        break;
+    }
+    if (spec.family == "brute-force") return {};
+    if (!isGather) return "has no radii of candidates";
+    return search.nearest > 0 && spec.family == "openvdb" ? "has no search of the nearest" : "";
+}
+
 std::unique_ptr<Method> makeMethod(const MethodSpec& spec, const MethodSetup& setup)
 {
     switch (spec.kind) {

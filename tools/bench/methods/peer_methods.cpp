@@ -25,6 +25,25 @@ std::vector<Real> worldPositions(const ParticleView& view)
 template std::vector<float> worldPositions(const ParticleView&);
 template std::vector<double> worldPositions(const ParticleView&);
 
+template <typename Real>
+Members<Real> membersOf(const ParticleSet& set)
+{
+    Members<Real> members;
+    members.xyz = worldPositions<Real>(set.view);
+    if (set.chosen.empty()) return members;
+    for (std::size_t i = 0; i < set.view.size(); ++i) {
+        if (set.chosen[i] == 0) continue;
+        for (std::size_t k = 0; k < 3; ++k)
+            members.xyz[3 * members.numbers.size() + k] = members.xyz[3 * i + k];
+        members.numbers.push_back(static_cast<std::uint32_t>(i));
+    }
+    members.xyz.resize(3 * members.numbers.size());
+    return members;
+}
+
+template Members<float> membersOf(const ParticleSet&);
+template Members<double> membersOf(const ParticleSet&);
+
 std::string missingPeer(const std::string& family)
 {
     if (family.rfind("nanoflann", 0) != 0 || hasNanoflann()) return {};
