@@ -131,7 +131,8 @@ TEST(StabilityTrial, WrongPairsOfSetsAreCounted)
         ++more.nearest;
         const std::vector<std::uint32_t> kept = rows->buffers[700];
         std::vector<std::uint32_t> row = kept;
-        for (const std::uint32_t number : findTruth(more, {}).row(700)) {
+        const Truth longer = findTruth(more, {});
+        for (const std::uint32_t number : longer.row(700)) {
             if (!std::binary_search(kept.begin(), kept.end(), number)) row.back() = number;
         }
         setRow(*rows, 700, row);

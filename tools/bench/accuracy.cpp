@@ -144,7 +144,6 @@ void addWrong(const FoundNeighbors& found, std::uint32_t query, Span<const std::
               std::vector<std::uint32_t>& row, WrongPairs& sum)
 {
     ++sum.checkedQueries;
-    const std::uint64_t counted = found.count(query);
     if (found.hasRows()) {
         found.row(query, row);
         std::sort(row.begin(), row.end());
@@ -161,6 +160,7 @@ void addWrong(const FoundNeighbors& found, std::uint32_t query, Span<const std::
         sum.extra += row.size() - common;
         return;
     }
+    const std::uint64_t counted = found.count(query);
     sum.missing += expected.size() - std::min<std::uint64_t>(expected.size(), counted);
     sum.extra += counted - std::min<std::uint64_t>(expected.size(), counted);
 }
