@@ -279,6 +279,14 @@ void requireExactSets(const std::vector<SetResult>& results)
     }
 }
 
+// As requireOne().
+void requireOneSet(const std::vector<SetResult>& results)
+{
+    const auto isDone = [](const SetResult& result) { return !result.refusal; };
+    if (results.empty() || std::any_of(results.begin(), results.end(), isDone)) return;
+    std::rethrow_exception(results.front().refusal);
+}
+
 void requireStable(const std::vector<StabilityTrial>& trials)
 {
     for (const StabilityTrial& trial : trials) {
@@ -312,6 +320,8 @@ void deliver(const BenchFlags& flags, const BenchReport& report)
     requireExactSets(report.nearest);
     requireStable(report.stability);
     requireOne(report.results);
+    requireOneSet(report.radii);
+    requireOneSet(report.nearest);
     if (noChart) std::rethrow_exception(noChart);
 }
 

@@ -42,11 +42,15 @@ Span<const T> spanOf(const std::vector<T>& values)
     return {values.data(), values.size()};
 }
 
-// The engine's candidate tests in a search of one radius or of many.
+// The engine's candidate tests in a search of one radius or of many; 0 where it refuses, as it will when it is timed.
 double testsOf(const SetSearch& search, const SearchOptions& options)
 {
-    return static_cast<double>(
-        countCandidateTests(SearchEngine().sort(search.candidates, search.queries, search.radius, options)));
+    try {
+        return static_cast<double>(countCandidateTests(
+            SearchEngine().sort(search.candidates, search.queries, search.radius, options)));
+    } catch (const CapacityError&) {
+        return 0;
+    }
 }
 
 // Chooses queries, by number, so many that the engine makes no more than `most` tests.
