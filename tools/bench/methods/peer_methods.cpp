@@ -46,6 +46,10 @@ template Members<double> membersOf(const ParticleSet&);
 
 std::string missingPeer(const std::string& family)
 {
+    if (family == "treensearch" && !hasTreeNSearch()) {
+        return "TreeNSearch was not there when this program was built; get its sources, configure with "
+               "-DVDB_NNS_TREENSEARCH=FOLDER and build again";
+    }
     if (family.rfind("nanoflann", 0) != 0 || hasNanoflann()) return {};
     return "nanoflann was not there when this program was built; install libnanoflann-dev and build again";
 }
@@ -57,6 +61,7 @@ std::unique_ptr<Method> makePeerMethod(const MethodSpec& spec)
     if (spec.family == "openvdb") return makeOpenVdbPeer();
     if (spec.family == "nanoflann-float") return makeNanoflannPeer(false);
     if (spec.family == "nanoflann-double") return makeNanoflannPeer(true);
+    if (spec.family == "treensearch") return makeTreeNSearchPeer();
     if (spec.family == "brute-force") return makeBruteForce();
     throw std::logic_error("bench: no peer " + spec.family);
 }

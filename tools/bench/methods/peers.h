@@ -35,6 +35,11 @@ bool hasNanoflann();
 /// Null without it.
 std::unique_ptr<Method> makeNanoflannPeer(bool inDoubles);
 
+/// Whether the program was built with TreeNSearch.
+bool hasTreeNSearch();
+/// Null without it. It may end the program, or kill it, where its input does not suit it.
+std::unique_ptr<Method> makeTreeNSearchPeer();
+
 /// Every pair, in doubles. Rows ascending.
 std::unique_ptr<Method> makeBruteForce();
 

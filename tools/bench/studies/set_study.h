@@ -39,7 +39,7 @@ struct SetStudyOptions {
     double radius = 0;
     std::uint64_t repeat = 5, seed = 1; ///< timed runs of each, interleaved, after one that warms up
     TruthOptions truth;
-    double mostTests = 2e10; ///< of the engine in a run: some ten seconds of a core
+    double mostTests = 2e10; ///< of the engine in a run: some seconds; else some queries are timed
 };
 
 /// In three modes, on radii that are graded 1:100 and of the points given with one in a hundred four times as large: ours; the
