@@ -372,7 +372,6 @@ class Bench(CliCase):
             for flag, value in (("--method", "ours-index"), ("--device", "sim"), ("--estimator", "all")):
                 self.fails(2, *args, study, flag, value, says="would change nothing here")
             self.fails(2, *args, "methods," + study, "--csv", self.path("x.csv"), says=["--csv is one table", "--json"])
-        self.fails(4, *args, "radii", "--host-memory", "10KB", says="allow more host memory")
 
     def test_charts_without_matplotlib(self):
         page = self.path("page.html")

@@ -442,4 +442,4 @@ def radii(report):
 
 
 def nearest(report):
-    return _sets(report, "nearest", lambda row: f"{text(row, 'scene')}, the nearest {text(row, 'nearest')}")
+    return _sets(report, "nearest", lambda row: f"{text(row, 'scene')}, the nearest {plain(number(row, 'nearest'))}")
