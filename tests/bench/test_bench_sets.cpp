@@ -1,5 +1,5 @@
-// Searches of sets in bench: their truth is the oracle's, methods that have such a search find it, and the studies of radii and of
-// the nearest have no wrong pair of ours.
+// Searches of sets in bench: their truth is the oracle's, methods that have such a search find it, and the
+// studies of radii and of the nearest have no wrong pair of ours.
 #include "bench/accuracy.h"
 #include "bench/method_names.h"
 #include "bench/methods/other_methods.h"
@@ -287,7 +287,7 @@ TEST(BenchSetTruth, OfTheStabilityCases)
     EXPECT_GT(longest, 1024u);
 }
 
-// ---- the studies -----------------------------------------------------------------------------------------------------
+// ---- the studies ------------------------------------------------------------------------------------------
 
 TEST(BenchRadiiPoints, SpacingFollowsTheRadius)
 {

@@ -39,7 +39,8 @@ bool isOfSets(const StabilityCase& stabilityCase)
     return group == "radii" || group == "sets" || group == "nearest";
 }
 
-// Devices search one set, and the nearest are not held as masks: such trials are skipped, and that is tested below.
+// Devices search one set, and the nearest are not held as masks: such trials are skipped, and that is tested
+// below.
 bool isAbout(const StabilityCase& stabilityCase, const MethodSpec& spec)
 {
     if (stabilityCase.condition.isForDevices()) return spec.hasBudget();
@@ -167,7 +168,8 @@ TEST(StabilityMatrix, IsJsonAndText)
     EXPECT_EQ(text.find("FAULT"), std::string::npos) << text;
 }
 
-// A peer without such a search has a dash; the loop of everybody's first program takes a negative radius as a positive one.
+// A peer without such a search has a dash; the loop of everybody's first program takes a negative radius as a
+// positive one.
 TEST(StabilityMatrix, WhatAMethodHasNotIsLeftOut)
 {
     StabilityOptions options;

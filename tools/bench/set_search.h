@@ -6,12 +6,11 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <limits>
-#include <vector>
 
 namespace vdb_nns::cli {
 
-/// Who asks, among whom, how far, and how many neighbors are kept. Plain; the arrays that it views must outlive it.
+/// Who asks, among whom, how far, and how many neighbors are kept. Plain; the arrays that it views must
+/// outlive it.
 struct SetSearch {
     ParticleSet queries, candidates;
     Radius radius;

@@ -1,4 +1,5 @@
-// The truth of two sets: the parts of the independent search of `verify`, put together for rows instead of a comparison.
+// The truth of two sets: the parts of the independent search of `verify`, put together for rows instead of a
+// comparison.
 #include "bench/truth.h"
 
 #include "machine.h"

@@ -1,4 +1,5 @@
-// All pairs: what needs no structure, and what a structure has to beat. World positions in doubles, radii as they are given.
+// All pairs: what needs no structure, and what a structure has to beat. World positions in doubles, radii as
+// they are given.
 #include "bench/methods/ablation_kernels.h"
 #include "bench/methods/peers.h"
 #include "machine.h"

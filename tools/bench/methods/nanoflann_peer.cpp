@@ -1,5 +1,5 @@
-// nanoflann's tree in three dimensions, as its examples use it. A neighbor is nearer than the radius, not at it; of the nearest,
-// which are found without a radius, those at it are kept.
+// nanoflann's tree in three dimensions, as its examples use it. A neighbor is nearer than the radius, not at
+// it; of the nearest, which are found without a radius, those at it are kept.
 #include "bench/methods/peers.h"
 
 #if defined(VDB_NNS_HAVE_NANOFLANN)

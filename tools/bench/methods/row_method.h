@@ -81,8 +81,8 @@ public:
     const FoundNeighbors& found() const override;
 
 protected:
-    /// Writes a row for every query that has the role, and fills in seconds, pairs and structureBytes. Rows of others are empty
-    /// before.
+    /// Writes a row for every query that has the role, and fills in seconds, pairs and structureBytes. Rows
+    /// of others are empty before.
     virtual void search(const SetSearch& search, MethodRun& result) = 0;
 
     RowBuffers mRows;

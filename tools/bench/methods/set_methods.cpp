@@ -81,7 +81,7 @@ private:
     tbb::enumerable_thread_specific<Worker> mWorkers{[this] { return Worker(mPool); }};
 };
 
-// ---- octaves ----------------------------------------------------------------------------------------------------------
+// ---- octaves ----------------------------------------------------------------------------------------------
 
 // The particles of an octave of radii; what their lists read stays where it is.
 struct Octave {

@@ -1,6 +1,6 @@
-// TreeNSearch's octree in float32, points in their order. Cells are of its own choice with one radius. With radii of particles they
-// are of the largest one: in those of its choice, 1.5 times the smallest, it loses pairs of 30 000 particles with radii 1:4, or dies
-// by a segmentation fault (commit 61cf111).
+// TreeNSearch's octree in float32, points in their order. Cells are of its own choice with one radius. With
+// radii of particles they are of the largest one: in those of its choice, 1.5 times the smallest, it loses
+// pairs of 30 000 particles with radii 1:4, or dies by a segmentation fault (commit 61cf111).
 #include "bench/methods/peers.h"
 
 #if defined(VDB_NNS_HAVE_TREENSEARCH)

@@ -2,8 +2,13 @@
 #include "bench/stability/case_points.h"
 
 #include <cmath>
+#include <cstdint>
+#include <functional>
 #include <limits>
+#include <memory>
+#include <string>
 #include <utility>
+#include <vector>
 
 namespace vdb_nns::cli {
 namespace {
@@ -138,7 +143,8 @@ CasePoints exactLattice(int edge)
     return points;
 }
 
-// Radii of 1, 2, 3 and 5 spacings, an ulp less and an ulp more: of each particle others stand exactly at them.
+// Radii of 1, 2, 3 and 5 spacings, an ulp less and an ulp more: of each particle others stand exactly at
+// them.
 SetPoints tiesOfEach(RadiusMode mode)
 {
     CasePoints points = exactLattice(11);
@@ -178,7 +184,7 @@ void addRadii(std::vector<StabilityCase>& cases)
         "lattice with others exactly at the radius of each particle: Redis #3698, < and <=", tiesOfEach);
 }
 
-// ---- roles ------------------------------------------------------------------------------------------------------------
+// ---- roles ------------------------------------------------------------------------------------------------
 
 // A block among others that it does not touch, or on top of itself.
 SetPoints twoSets(const Vec3d& center)
@@ -260,7 +266,7 @@ void addRoles(std::vector<StabilityCase>& cases)
         [] { return crowdedSets(RadiusMode::kSymmetric); });
 }
 
-// ---- the nearest ------------------------------------------------------------------------------------------------------
+// ---- the nearest ------------------------------------------------------------------------------------------
 
 SetPoints nearestOf(CasePoints points, std::uint32_t nearest)
 {

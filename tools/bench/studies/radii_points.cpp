@@ -19,8 +19,8 @@ double uniform(std::uint64_t seed, std::uint64_t index)
     return static_cast<double>(mix64(mix64(seed) + index) >> 11) * 0x1p-53;
 }
 
-// Shells of 6 n^2 particles at spacings of 2 / n of their distance: the number of shells is ln(100) n / 2, so that the spacing
-// across shells is that within them.
+// Shells of 6 n^2 particles at spacings of 2 / n of their distance: the number of shells is ln(100) n / 2, so
+// that the spacing across shells is that within them.
 struct Grading {
     std::uint64_t edge, shells; // particles along the edge of a face; shells
     double growth;              // of the spacing from shell to shell

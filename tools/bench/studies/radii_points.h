@@ -16,9 +16,9 @@ struct RadiiPoints {
     std::vector<double> radii;
 };
 
-/// Radii over two decades about `radius`, each twice the spacing around its particle: shells of cubes about the origin, one in the
-/// other, whose jittered faces are as fine as their distance asks, so that every octave has as many particles. About `count`, at
-/// least 12. The same everywhere.
+/// Radii over two decades about `radius`, each twice the spacing around its particle: shells of cubes about
+/// the origin, one in the other, whose jittered faces are as fine as their distance asks, so that every
+/// octave has as many particles. About `count`, at least 12. The same everywhere.
 RadiiPoints gradedPoints(std::uint64_t count, double radius, std::uint64_t seed);
 
 /// The points given, one in a hundred of them with a radius of four times `radius`.

@@ -42,7 +42,8 @@ Span<const T> spanOf(const std::vector<T>& values)
     return {values.data(), values.size()};
 }
 
-// The engine's candidate tests in a search of one radius or of many; 0 where it refuses, as it will when it is timed.
+// The engine's candidate tests in a search of one radius or of many; 0 where it refuses, as it will when it
+// is timed.
 double testsOf(const SetSearch& search, const SearchOptions& options)
 {
     try {
@@ -53,7 +54,8 @@ double testsOf(const SetSearch& search, const SearchOptions& options)
     }
 }
 
-// Of a candidate that is a hit, in tests: its distance is computed in double and handed over, 7 ns against a quarter of one.
+// Of a candidate that is a hit, in tests: its distance is computed in double and handed over, 7 ns against a
+// quarter of one.
 constexpr double kTestsPerHit = 40;
 
 // Chooses queries, by number, so many that the engine makes no more than `most` tests.
@@ -241,7 +243,8 @@ std::vector<SetResult> studyModes(const std::string& scene, const RadiiPoints& p
                                   const SetStudyOptions& options, const ProgressSpan& span)
 {
     constexpr RadiusMode kModes[] = {RadiusMode::kGather, RadiusMode::kScatter, RadiusMode::kSymmetric};
-    // The largest radius over the smallest. TreeNSearch's cells follow the smallest: beyond this it takes minutes, or none.
+    // The largest radius over the smallest: TreeNSearch's cells are of the largest, and beyond this they hold
+    // too much.
     constexpr double kMostTreeNSearch = 8;
     const auto [least, most] = std::minmax_element(points.radii.begin(), points.radii.end());
     const double radiiSpan = *most / *least;

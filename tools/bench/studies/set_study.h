@@ -1,4 +1,5 @@
-// The studies of radii of particles and of the nearest: ours beside what one does without them, time and wrong pairs.
+// The studies of radii of particles and of the nearest: ours beside what one does without them, time and
+// wrong pairs.
 #pragma once
 
 #include "bench/accuracy.h"
@@ -42,15 +43,15 @@ struct SetStudyOptions {
     double mostTests = 2e10; ///< of the engine in a run: some seconds; else some queries are timed
 };
 
-/// In three modes, on radii that are graded 1:100 and of the points given with one in a hundred four times as large: ours; the
-/// largest radius for all, filtered afterwards; uniform searches of each octave; K nearest without regard for radii, K being the
-/// mean length of a list; and peers that have radii of queries.
+/// In three modes, on radii that are graded 1:100 and of the points given with one in a hundred four times as
+/// large: ours; the largest radius for all, filtered afterwards; uniform searches of each octave; K nearest
+/// without regard for radii, K being the mean length of a list; and peers that have radii of queries.
 /// @throws Cancelled, and InputError of the truth
 std::vector<SetResult> studyRadii(const BenchPoints& points, const SetStudyOptions& options,
                                   const ProgressSpan& span);
 
-/// The nearest 1, 8 and 32 within the radius: ours; full lists as they are; full lists sorted and cut afterwards; and of a peer K
-/// nearest without regard for the radius, and those within it.
+/// The nearest 1, 8 and 32 within the radius: ours; full lists as they are; full lists sorted and cut
+/// afterwards; and of a peer K nearest without regard for the radius, and those within it.
 /// @throws as above
 std::vector<SetResult> studyNearest(const BenchPoints& points, const SetStudyOptions& options,
                                     const ProgressSpan& span);
