@@ -31,9 +31,14 @@ TEST(MissingPeer, IsNamedWithWhatToInstall)
         EXPECT_NE(refusal.find("nanoflann"), std::string::npos) << name << ": " << refusal;
         EXPECT_NE(refusal.find("install libnanoflann-dev and build again"), std::string::npos) << refusal;
     }
-    MethodSpec spec;
-    spec.name = spec.family = "nanoflann-float";
-    EXPECT_THROW(makePeerMethod(spec), InvalidInput);
+    ASSERT_FALSE(hasTreeNSearch());
+    EXPECT_NE(refusalOf("treensearch").find("configure with -DVDB_NNS_TREENSEARCH=FOLDER and build again"),
+              std::string::npos);
+    for (const char* family : {"nanoflann-float", "treensearch"}) {
+        MethodSpec spec;
+        spec.name = spec.family = family;
+        EXPECT_THROW(makePeerMethod(spec), InvalidInput);
+    }
 }
 
 TEST(MissingPeer, IsLeftOutOfGroupsAndDefaults)
@@ -47,6 +52,7 @@ TEST(MissingPeer, IsLeftOutOfGroupsAndDefaults)
     for (const auto& specs : {parseMethods("peers", {}), parseMethods("", {}), stabilityMethods()}) {
         EXPECT_TRUE(has(specs, "openvdb"));
         EXPECT_FALSE(has(specs, "nanoflann"));
+        EXPECT_FALSE(has(specs, "treensearch"));
     }
 }
 

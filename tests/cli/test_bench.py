@@ -24,7 +24,8 @@ class Bench(CliCase):
                      "nearest32", "nearest16", "openvdb", "brute-force"):
             self.assertIn(name, names)
         self.check_nanoflann(names)
-        for study in ("estimators", "budgets", "resolution", "scaling", "model_share", "savings", "files", "stability"):
+        for study in ("estimators", "budgets", "resolution", "scaling", "model_share", "savings", "files", "radii", "nearest",
+                      "stability"):
             self.assertEqual(report[study], [])
         for result in report["results"]:
             self.assertEqual((result["scene"], result["points"]), ("clusters", 3000))
@@ -275,6 +276,8 @@ class Bench(CliCase):
         scene = {entry["scene"] for study in ("results", "estimators", "budgets", "resolution", "scaling", "model_share",
                                               "savings", "files") for entry in report[study]}
         self.assertEqual(scene, {"dam_break"})
+        for study in ("radii", "nearest"):
+            self.assertEqual({entry["scene"] for entry in report[study]}, {"dam_break"})
         self.assertEqual([round(100 * b["share"]) for b in report["budgets"]], 2 * [100, 50, 25, 10, 5, 2, 1])
         for budget in report["budgets"]:
             self.assertTrue(budget["model"])
@@ -296,6 +299,79 @@ class Bench(CliCase):
             text = file.read()
         self.assertIn("dam_break", text)
         self.assertIn("nearest8", text)
+
+    def check_sets(self, rows):
+        """Ours has no wrong pair, every column is there, and ratios are to ours."""
+        for row in rows:
+            self.assertEqual(set(row), {"scene", "radii", "mode", "method", "exact", "points", "queries", "runs", "nearest",
+                                        "pairs", "seconds", "ratio", "accuracy", "message"})
+            self.assertEqual(row["message"], "")
+            self.assertEqual(row["runs"], 2)
+            self.assertLessEqual(row["queries"], row["points"])
+            seconds, accuracy = row["seconds"], row["accuracy"]
+            self.assertLessEqual(seconds["min"], seconds["total"])
+            self.assertLessEqual(seconds["total"], seconds["max"])
+            self.assertTrue(accuracy["complete"])
+            wrong = accuracy["missing"] + accuracy["extra"] + accuracy["duplicates"]
+            self.assertAlmostEqual(accuracy["wrong_per_million"], 1e6 * wrong / accuracy["true_pairs"])
+            self.assertEqual(row["exact"], row["method"] == "ours")
+            if row["exact"]:
+                self.assertEqual((wrong, row["ratio"], row["pairs"]), (0, 1, accuracy["true_pairs"]))
+
+    def test_radii(self):
+        table = self.path("x.csv")
+        args = ("bench", "--scene", "block", "-n", "1500", "--study", "radii", "--repeat", "2")
+        rows = self.report(*args, "--csv", table)["radii"]
+        self.check_sets(rows)
+        methods = {}
+        for row in rows:
+            self.assertIsNone(row["nearest"])
+            methods.setdefault((row["radii"], row["mode"]), []).append(row["method"])
+        self.assertEqual(list(methods), [(radii, mode) for radii in ("graded 1:100", "mixed 1:4")
+                                         for mode in ("gather", "scatter", "symmetric")])
+        for (_, mode), names in methods.items():
+            self.assertEqual(names[:3], ["ours", "largest-filtered", "octaves"])
+            if "nanoflann-k" in names:
+                self.assertEqual("nanoflann" in names, mode == "gather")
+        scatter, gather = ([row for row in rows if row["mode"] == mode and row["exact"]] for mode in ("scatter", "gather"))
+        self.assertEqual([row["pairs"] for row in scatter], [row["pairs"] for row in gather])
+        with open(table) as file:
+            lines = list(csv.DictReader(file))
+        self.assertEqual([line["method"] for line in lines], [row["method"] for row in rows])
+        self.assertEqual([int(line["missing"]) for line in lines], [row["accuracy"]["missing"] for row in rows])
+        out = self.succeeds(*args).out
+        self.assertRegex(out, r"(?m)^radii graded 1:100, symmetric, \d+ particles$")
+        self.assertRegex(out, r"(?m)^ours +\d+ +\d+ .* 1\.00 +0 +0 +0$")
+
+    def test_nearest(self):
+        path = self.scene("block", 2000) # a file is searched as it is
+        args = ("bench", path, "--study", "nearest", "--repeat", "2")
+        rows = self.report(*args)["nearest"]
+        self.check_sets(rows)
+        self.assertEqual([row["nearest"] for row in rows if row["exact"]], [1, 8, 32])
+        for row in rows:
+            self.assertEqual((row["radii"], row["mode"]), ("one", None))
+            if row["method"] in ("full-cut", "nanoflann-cut"):
+                self.assertEqual(row["accuracy"]["wrong_per_million"], 0)
+        full = {row["pairs"] for row in rows if row["method"] == "full"}
+        self.assertEqual(full, {self.report("search", path)["result"]["pairs"]})
+        self.assertRegex(self.succeeds(*args).out, r"(?m)^nearest 32 within the radius, 2000 particles$")
+
+    def test_sets_on_a_sample(self):
+        for study in ("radii", "nearest"):
+            args = ("bench", "--scene", "block", "-n", "3000", "--study", study, "--repeat", "1", "--sample")
+            for row in self.report(*args, "100")[study]:
+                self.assertEqual((row["accuracy"]["complete"], row["accuracy"]["checked_queries"]), (False, 100))
+            self.assertIn("those of a sample", self.succeeds(*args, "100").out)
+            for row in self.report(*args, "0")[study]:
+                self.assertIsNone(row["accuracy"]["wrong_per_million"])
+
+    def test_flags_of_sets(self):
+        args = ("bench", "--scene", "block", "-n", "500", "--study")
+        for study in ("radii", "nearest"):
+            for flag, value in (("--method", "ours-index"), ("--device", "sim"), ("--estimator", "all")):
+                self.fails(2, *args, study, flag, value, says="would change nothing here")
+            self.fails(2, *args, "methods," + study, "--csv", self.path("x.csv"), says=["--csv is one table", "--json"])
 
     def test_charts_without_matplotlib(self):
         page = self.path("page.html")
@@ -319,7 +395,7 @@ class Bench(CliCase):
         self.assertIn(b"</html>", self.bytes(self.path("page.html")))
 
     def test_stability(self):
-        report = self.report("bench", "--stability", "--method", "ours-index,world-float,brute-force", "-T", "2")
+        report = self.report("bench", "--stability", "--method", "ours-index,world-float,brute-force,blocks-mask", "-T", "2")
         self.assertEqual(report["results"], [])
         cells = {(cell["case"], cell["method"]): cell for cell in report["stability"]}
         self.assertGreater(len({case for case, _ in cells}), 60)
@@ -327,6 +403,11 @@ class Bench(CliCase):
             self.assertIn(cell["verdict"], ("exact", "wrong", "refused", "crash", "hang", "memory", "skipped"))
             if method == "ours-index":
                 self.assertIn(cell["verdict"], ("exact", "refused", "skipped"), (case, cell["message"]))
+        self.assertTrue({"radii", "sets", "nearest"} < {cell["group"] for cell in report["stability"]})
+        for case in ("radii-bad-scatter", "radii-1e4-symmetric", "sets-on-top", "groups-no-query", "nearest-equal"):
+            self.assertEqual([cells[case, method]["verdict"] for method in ("ours-index", "world-float", "blocks-mask")],
+                             ["exact", "skipped", "skipped"], case)
+        self.assertEqual(cells["radii-bad-gather", "brute-force"]["verdict"], "wrong") # a square forgets the sign
         self.assertEqual(cells["far-1e7", "world-float"]["verdict"], "wrong")
         self.assertEqual(cells["tie-0.1", "world-float"]["verdict"], "wrong")
 

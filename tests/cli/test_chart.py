@@ -60,6 +60,13 @@ def full_report():
         "model_share": [{"scene": "block", "encoding": "index", "in_core": True, "blocks": 1, "seconds": seconds, "points": 1000,
                          "bytes": {"structure": 1000, "tree": 10, "schedule": 1, "lists": 9000}}],
         "savings": [{"scene": "block", "part": "no lists", "unit": "bytes", "with": 1000, "without": 250}],
+        "radii": [{"scene": "block", "radii": "mixed 1:4", "mode": mode, "method": method, "exact": method == "ours", "points": 1000,
+                   "queries": 1000, "pairs": 30000, "seconds": {"grid": 0.1, "search": 0.2, "total": 0.3}, "ratio": 1, "message": "",
+                   "accuracy": {"missing": wrong, "extra": 0, "wrong_per_million": 33.3 * wrong}}
+                  for mode in ("gather", "symmetric") for method, wrong in (("ours", 0), ("nanoflann-k", 7))],
+        "nearest": [{"scene": "block", "radii": "one", "mode": None, "nearest": 8, "method": "ours", "exact": True, "points": 1000,
+                     "queries": 1000, "pairs": 8000, "seconds": {"grid": 0.1, "search": 0.2, "total": 0.3}, "ratio": 1,
+                     "accuracy": {"missing": 0, "extra": 0, "wrong_per_million": 0}, "message": ""}],
         "stability": [
             {"case": "NaN", "group": "numbers", "what": "One coordinate is no number.", "method": "ours-index", "verdict": "exact",
              "missing": 0, "extra": 0, "asymmetric": 0, "seconds": 1, "peak_rss_bytes": 10**7, "message": ""},
@@ -148,7 +155,7 @@ class Pages(ChartCase):
     def test_a_page_of_everything(self):
         page = self.page(full_report())
         for name in ("in-short", "speed-against-error", "results", "stability", "estimators", "memory-budget", "resolution", "scaling",
-                     "model-share", "no-more-than-a-scene-needs"):
+                     "model-share", "no-more-than-a-scene-needs", "radii-of-particles", "the-nearest"):
             self.assertIn(name, page.ids)
         self.assertNotIn("left-out", page.ids)
         self.assertEqual(len(page.ids), len(set(page.ids)))
@@ -156,7 +163,7 @@ class Pages(ChartCase):
         self.assertEqual([link for link in page.links if not (link.startswith("#") and link[1:] in page.ids)], [])
         self.assertNotIn("url(http", self.bytes_of("out.html").decode())
         for words in ("abc1234", "GNU 12.2.0", "A CPU", "4 cores", "8 GB", "vdb_nns 0.1.0", "blocks-mask (model)", "wrong 5.9 M",
-                      "signal 11 <b>", "Pareto front", "MODEL", "auto", "75 %", "sampled10", "every query"):
+                      "signal 11 <b>", "Pareto front", "MODEL", "auto", "75 %", "sampled10", "every query", "nanoflann-k", "block, mixed 1:4, symmetric", "block, the nearest 8"):
             self.assertIn(words, page.text)
         self.assertTrue(any("signal 11 <b>" in title and "peak 10 MB" in title for title in page.titles))
 
@@ -181,7 +188,7 @@ class Pages(ChartCase):
         page = self.page({"schema": 1, "command": "bench"})
         self.assertEqual(page.ids, ["left-out"])
         for flag in ("--study methods", "--stability", "--study estimators", "--study budgets", "--study resolution", "--study scaling",
-                     "--study model"):
+                     "--study model", "--study radii", "--study nearest"):
             self.assertIn("vdb_nns bench " + flag, page.text)
         page = self.page({**full_report(), "stability": [], "savings": None})
         self.assertNotIn("stability", page.ids)
@@ -204,7 +211,8 @@ class Merging(ChartCase):
         one, two = full_report(), full_report()
         one["results"] = [row for row in one["results"] if row["scene"] == "block"]
         two = {**two, "machine": {**two["machine"], "cpu": "Another CPU"}, "results": [result("far", "ours-index")]}
-        for section in ("estimators", "budgets", "resolution", "scaling", "model_share", "savings", "stability"):
+        for section in ("estimators", "budgets", "resolution", "scaling", "model_share", "savings", "radii", "nearest",
+                        "stability"):
             two[section] = []
         page = self.page(one, two)
         for words in ("block: speed against error", "far: speed against error", "A CPU", "Another CPU", "Several machines"):

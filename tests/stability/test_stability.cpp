@@ -33,13 +33,26 @@ std::ostream& operator<<(std::ostream& out, const TrialName& name)
     return out << stabilityCases()[name.number].name << " with " << name.spec.name;
 }
 
+bool isOfSets(const StabilityCase& stabilityCase)
+{
+    const std::string& group = stabilityCase.group;
+    return group == "radii" || group == "sets" || group == "nearest";
+}
+
+// Devices search one set, and the nearest are not held as masks: such trials are skipped, and that is tested
+// below.
+bool isAbout(const StabilityCase& stabilityCase, const MethodSpec& spec)
+{
+    if (stabilityCase.condition.isForDevices()) return spec.hasBudget();
+    return !isOfSets(stabilityCase) || missingSearch(spec, *stabilityCase.make().search).empty();
+}
+
 std::vector<TrialName> trialsOfOurs()
 {
     std::vector<TrialName> trials;
     for (std::size_t c = 0; c < stabilityCases().size(); ++c) {
         for (const MethodSpec& spec : stabilityMethods()) {
-            const bool isSkipped = stabilityCases()[c].condition.isForDevices() && !spec.hasBudget();
-            if (spec.isExact() && !isSkipped) trials.push_back({c, spec});
+            if (spec.isExact() && isAbout(stabilityCases()[c], spec)) trials.push_back({c, spec});
         }
     }
     return trials;
@@ -82,9 +95,10 @@ TEST(StabilityCases, EveryFailureThatIsKnownHasSome)
         EXPECT_FALSE(c.what.empty()) << c.name;
     }
     // In the order of notes on demand, part 2.
-    for (const char* group : {"clusters", "offset", "ties", "pairs", "seams", "non-finite", "duplicates",
-                              "sparse", "devices", "few", "radius", "bad radius", "transforms", "codecs",
-                              "order", "threads", "memory", "scale", "thin"}) {
+    for (const char* group :
+         {"clusters", "offset", "ties",   "pairs",      "seams",      "non-finite", "duplicates", "sparse",
+          "devices",  "few",    "radius", "bad radius", "transforms", "codecs",     "order",      "threads",
+          "memory",   "scale",  "thin",   "radii",      "sets",       "nearest"}) {
         EXPECT_EQ(groups.erase(group), 1u) << group;
     }
     EXPECT_TRUE(groups.empty()) << *groups.begin();
@@ -96,6 +110,32 @@ TEST(StabilityCases, AreChosenByNameOrGroup)
     EXPECT_EQ(stabilityCases({"tie-0.1"}).size(), 1u);
     EXPECT_EQ(stabilityCases({"bad radius", "radius-0"}).size(), 4u);
     EXPECT_THROW(stabilityCases({"tie-0.1", "no-such"}), InvalidInput);
+}
+
+// Every kind of search is there, and the engine on the CPU is asked for each of them.
+TEST(StabilityCases, OfSetsHaveASearchThatTheEngineHas)
+{
+    std::set<RadiusMode> modes;
+    std::size_t apart = 0, nearest = 0;
+    for (const StabilityCase& c : stabilityCases()) {
+        if (!isOfSets(c)) continue;
+        SCOPED_TRACE(c.name);
+        const CaseParticles particles = c.make();
+        ASSERT_TRUE(particles.search);
+        const SetSearch& search = *particles.search;
+        EXPECT_FALSE(search.isPlain());
+        for (const char* name : {"ours-index", "ours-count", "ours-visit", "brute-force"})
+            EXPECT_EQ(missingSearch(parseMethod(name), search), "");
+        EXPECT_EQ(missingSearch(parseMethod("ours-mask"), search).empty(), search.nearest == 0);
+        for (const char* name : {"blocks-index", "both-auto-index", "world-double"})
+            EXPECT_NE(missingSearch(parseMethod(name), search), "") << name;
+        if (!search.radius.isOne()) modes.insert(search.radius.mode);
+        apart += !search.isOneSet();
+        nearest += search.nearest > 0;
+    }
+    EXPECT_EQ(modes.size(), 3u);
+    EXPECT_GE(apart, 3u);
+    EXPECT_GE(nearest, 6u);
 }
 
 // ---- the matrix ------------------------------------------------------------------------------------------------------
@@ -126,6 +166,30 @@ TEST(StabilityMatrix, IsJsonAndText)
         EXPECT_NE(text.find(part), std::string::npos) << part << " is not in\n" << text;
     }
     EXPECT_EQ(text.find("FAULT"), std::string::npos) << text;
+}
+
+// A peer without such a search has a dash; the loop of everybody's first program takes a negative radius as a
+// positive one.
+TEST(StabilityMatrix, WhatAMethodHasNotIsLeftOut)
+{
+    StabilityOptions options;
+    options.methods = {parseMethod("ours-index"), parseMethod("openvdb"), parseMethod("brute-force"),
+                       parseMethod("blocks-mask")};
+    options.cases = {"radii-bad-scatter", "nearest-8"};
+    const std::vector<StabilityTrial> trials = runStability(options);
+    std::vector<Verdict> verdicts;
+    for (const StabilityTrial& trial : trials) verdicts.push_back(trial.verdict);
+    const std::vector<Verdict> expected = {Verdict::kExact,   Verdict::kSkipped, Verdict::kWrong,
+                                           Verdict::kSkipped, Verdict::kExact,   Verdict::kSkipped,
+                                           Verdict::kExact,   Verdict::kSkipped};
+    ASSERT_EQ(verdicts, expected);
+    EXPECT_EQ(trials[1].message, "has no radii of candidates");
+    EXPECT_EQ(trials[5].message, "has no search of the nearest");
+    EXPECT_EQ(trials[2].missing, 0u);
+    EXPECT_GT(trials[2].extra, 0u);
+    const std::string text = stabilityText(trials);
+    EXPECT_EQ(text.find("FAULT"), std::string::npos) << text;
+    EXPECT_NE(text.find("2 of 2 trials of exact methods"), std::string::npos) << text;
 }
 
 StabilityTrial trialWith(Verdict verdict, RightOutcome right, bool isClear = true)

@@ -6,6 +6,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <csignal>
 #include <cstdlib>
@@ -26,6 +27,25 @@ public:
     MethodRun run(const ParticleView& view, double radius, const ProgressSpan&) override
     {
         mFound = mRun(view, radius);
+        return {};
+    }
+
+private:
+    Run mRun;
+};
+
+class DoubleOfSets : public MethodWithResult {
+public:
+    using Run = std::function<std::unique_ptr<FoundNeighbors>(const SetSearch&)>;
+    explicit DoubleOfSets(Run run) : mRun(std::move(run)) {}
+
+    MethodRun run(const ParticleView& view, double radius, const ProgressSpan& span) override
+    {
+        return runSets({view, radius}, span);
+    }
+    MethodRun runSets(const SetSearch& search, const ProgressSpan&) override
+    {
+        mFound = mRun(search);
         return {};
     }
 
@@ -66,6 +86,112 @@ void setRow(RowBuffers& rows, std::uint32_t query, const std::vector<std::uint32
 {
     rows.buffers[query] = row;
     rows.places[query].count = static_cast<std::uint32_t>(row.size());
+}
+
+StabilityTrial trialOfSets(const char* caseName, const DoubleOfSets::Run& run)
+{
+    MethodSpec spec;
+    spec.name = "double";
+    spec.family = "brute-force"; // which has every search
+    spec.kind = MethodKind::kPeer;
+    return runTrial(stabilityCases({caseName}).front(), spec, {}, [&](const MethodSpec&, const MethodSetup&) {
+        return std::make_unique<DoubleOfSets>(run);
+    });
+}
+
+std::unique_ptr<RowBuffers> rowsOf(const Truth& truth)
+{
+    auto rows = std::make_unique<RowBuffers>();
+    rows->places.resize(truth.queries.size());
+    rows->buffers.resize(truth.queries.size());
+    for (std::size_t k = 0; k < truth.queries.size(); ++k) {
+        const Span<const std::uint32_t> row = truth.row(k);
+        rows->places[k] = {0, static_cast<std::uint32_t>(row.size()), static_cast<std::uint32_t>(k)};
+        rows->buffers[k].assign(row.begin(), row.end());
+    }
+    return rows;
+}
+
+TEST(StabilityTrial, SetsThatAreRightAreExact)
+{
+    for (const char* name :
+         {"radii-bad-symmetric", "radii-1e4-scatter", "sets-on-top", "groups-no-query", "nearest-equal"}) {
+        const StabilityTrial trial =
+            trialOfSets(name, [](const SetSearch& search) { return rowsOf(findTruth(search, {})); });
+        EXPECT_EQ(trial.verdict, Verdict::kExact) << name << ": " << trial.message;
+    }
+}
+
+TEST(StabilityTrial, WrongPairsOfSetsAreCounted)
+{
+    // The ninth in place of one of eight.
+    StabilityTrial trial = trialOfSets("nearest-equal", [](const SetSearch& search) {
+        auto rows = rowsOf(findTruth(search, {}));
+        SetSearch more = search;
+        ++more.nearest;
+        const std::vector<std::uint32_t> kept = rows->buffers[700];
+        std::vector<std::uint32_t> row = kept;
+        const Truth longer = findTruth(more, {});
+        for (const std::uint32_t number : longer.row(700)) {
+            if (!std::binary_search(kept.begin(), kept.end(), number)) row.back() = number;
+        }
+        setRow(*rows, 700, row);
+        return rows;
+    });
+    EXPECT_EQ(trial.verdict, Verdict::kWrong);
+    EXPECT_EQ(trial.missing, 1u);
+    EXPECT_EQ(trial.extra, 1u);
+    // Itself, and one twice.
+    trial = trialOfSets("groups-same", [](const SetSearch& search) {
+        auto rows = rowsOf(findTruth(search, {}));
+        std::vector<std::uint32_t> row = rows->buffers[602];
+        row.push_back(602);
+        row.push_back(row.front());
+        setRow(*rows, 602, row);
+        return rows;
+    });
+    EXPECT_EQ(trial.verdict, Verdict::kWrong);
+    EXPECT_EQ(trial.missing, 0u);
+    EXPECT_EQ(trial.extra, 1u);
+    EXPECT_EQ(trial.duplicates, 1u);
+    // A pair where nobody asks.
+    trial = trialOfSets("groups-no-query", [](const SetSearch& search) {
+        auto rows = rowsOf(findTruth(search, {}));
+        setRow(*rows, 5, {4, 6});
+        return rows;
+    });
+    EXPECT_EQ(trial.extra, 2u);
+    // Counts alone.
+    trial = trialOfSets("sets-overlap", [](const SetSearch& search) {
+        const auto rows = rowsOf(findTruth(search, {}));
+        std::vector<std::uint32_t> counts;
+        for (std::uint32_t i = 0; i < rows->places.size(); ++i)
+            counts.push_back(static_cast<std::uint32_t>(rows->count(i)));
+        counts[0] += 3;
+        return std::make_unique<CountedNeighbors>(counts);
+    });
+    EXPECT_EQ(trial.verdict, Verdict::kWrong);
+    EXPECT_EQ(trial.extra, 3u);
+}
+
+TEST(StabilityTrial, OtherPairsInAMirrorAreWrong)
+{
+    int runs = 0;
+    const auto losesInRun = [&runs](int wrong) {
+        return [&runs, wrong](const ParticleView& view, double radius) {
+            auto rows = trueRows(view, radius);
+            if (runs++ == wrong) setRow(*rows, 3, {});
+            return rows;
+        };
+    };
+    EXPECT_EQ(trialOf(losesInRun(9), 30, "negative").verdict, Verdict::kExact); // of three runs none
+    for (const int run : {1, 2}) {
+        runs = 0;
+        const StabilityTrial trial = trialOf(losesInRun(run), 30, "mirror-ties");
+        EXPECT_EQ(trial.verdict, Verdict::kWrong);
+        EXPECT_GT(trial.missing, 0u);
+        EXPECT_NE(trial.message.find("mirrored"), std::string::npos) << trial.message;
+    }
 }
 
 TEST(StabilityTrial, OneThatIsRightIsExact)

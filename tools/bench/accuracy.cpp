@@ -10,6 +10,7 @@
 #include <limits>
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_reduce.h>
+#include <vector>
 
 namespace vdb_nns::cli {
 namespace {
@@ -136,6 +137,56 @@ private:
 };
 
 } // namespace
+
+namespace {
+
+void addWrong(const FoundNeighbors& found, std::uint32_t query, Span<const std::uint32_t> expected,
+              std::vector<std::uint32_t>& row, WrongPairs& sum)
+{
+    ++sum.checkedQueries;
+    if (found.hasRows()) {
+        found.row(query, row);
+        std::sort(row.begin(), row.end());
+        const auto last = std::unique(row.begin(), row.end());
+        sum.duplicates += static_cast<std::uint64_t>(row.end() - last);
+        row.erase(last, row.end());
+        std::uint64_t common = 0;
+        auto next = row.begin();
+        for (const std::uint32_t number : expected) {
+            next = std::lower_bound(next, row.end(), number);
+            common += next != row.end() && *next == number;
+        }
+        sum.missing += expected.size() - common;
+        sum.extra += row.size() - common;
+        return;
+    }
+    const std::uint64_t counted = found.count(query);
+    sum.missing += expected.size() - std::min<std::uint64_t>(expected.size(), counted);
+    sum.extra += counted - std::min<std::uint64_t>(expected.size(), counted);
+}
+
+} // namespace
+
+WrongPairs findWrongPairs(const FoundNeighbors& found, const Truth& truth, Span<const std::uint8_t> asked)
+{
+    return tbb::parallel_reduce(
+        tbb::blocked_range<std::size_t>(0, truth.queries.size(), 256), WrongPairs{},
+        [&](const auto& range, WrongPairs sum) {
+            std::vector<std::uint32_t> row;
+            for (std::size_t k = range.begin(); k < range.end(); ++k) {
+                const std::uint32_t query = truth.queries[k];
+                if (asked.empty() || asked[query] != 0) addWrong(found, query, truth.row(k), row, sum);
+            }
+            return sum;
+        },
+        [](WrongPairs a, const WrongPairs& b) {
+            a.missing += b.missing;
+            a.extra += b.extra;
+            a.duplicates += b.duplicates;
+            a.checkedQueries += b.checkedQueries;
+            return a;
+        });
+}
 
 AccuracyReport checkAccuracy(const FoundNeighbors& found, const ParticleView& view, double radius,
                              const Truth& truth)

@@ -36,6 +36,20 @@ private:
     }
 };
 
+/// Ordered pairs that are not as the truth has them.
+struct WrongPairs {
+    std::uint64_t missing = 0, extra = 0; ///< where there are counts alone, differences of counts
+    std::uint64_t duplicates = 0;         ///< listed more than once
+    std::uint64_t checkedQueries = 0;
+
+    std::uint64_t wrong() const { return missing + extra + duplicates; }
+};
+
+/// Of the truth of a search of sets, whose rows need not be symmetric.
+/// @param asked not 0 for the queries that are looked at; empty: all that the truth has
+WrongPairs findWrongPairs(const FoundNeighbors& found, const Truth& truth,
+                          Span<const std::uint8_t> asked = {});
+
 /// Reads every row of the truth's queries once, in parallel. A wrong pair costs the look-up of its mirror.
 /// Distances of wrong pairs are exact near the radius, else rounded to double.
 AccuracyReport checkAccuracy(const FoundNeighbors& found, const ParticleView& view, double radius,

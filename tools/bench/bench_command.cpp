@@ -4,6 +4,7 @@
 #include "bench/method_names.h"
 #include "bench/report/bench_report.h"
 #include "bench/report/device_report.h"
+#include "bench/report/set_report.h"
 #include "bench/stability/matrix.h"
 #include "bench/studies/method_study.h"
 #include "bench/study_flags.h"
@@ -28,8 +29,8 @@ namespace vdb_nns::cli {
 namespace {
 
 // What a benchmark can look at, in the order in which it does.
-constexpr const char* kStudies[] = {"methods", "estimators", "budgets", "resolution",
-                                    "scaling", "model",      "files"};
+constexpr const char* kStudies[] = {"methods", "estimators", "budgets", "resolution", "scaling",
+                                    "model",   "files",      "radii",   "nearest"};
 
 // What makes a scene. --seed is also that of samples.
 constexpr const char* kSceneFlags[] = {"--count",  "--spacing",  "--radius-factor", "--voxel-size",
@@ -83,7 +84,10 @@ void addFlags(CLI::App& app, BenchFlags& flags)
            "what to look at, separated by commas: methods, estimators, budgets (memory of a device), "
            "resolution "
            "(cell sizes), scaling (particles, threads, radius, clustering), model (what planning takes and "
-           "saves), files (reading, writing and whole commands), or all; default: methods, with --chart all")
+           "saves), files (reading, writing and whole commands), "
+           "radii (of particles, against the largest one, octaves and K nearest), nearest (K within the "
+           "radius, "
+           "against full lists cut afterwards), or all; default: methods, with --chart all")
         ->type_name("LIST")
         ->check(notEmpty());
     app.add_flag(
@@ -109,7 +113,8 @@ void addFlags(CLI::App& app, BenchFlags& flags)
     app.add_option("--points-out", flags.pointsOut, "write the points searched as raw float32 x y z triples")
         ->type_name("FILE")
         ->check(notEmpty());
-    app.add_option("--csv", flags.csv, "write the results of the methods as CSV")
+    app.add_option("--csv", flags.csv,
+                   "write the results of the methods, or of --study radii,nearest, as CSV")
         ->type_name("FILE")
         ->check(notEmpty());
     app.add_option("--chart", flags.chart, "write charts as a page of HTML; needs Python with matplotlib")
@@ -168,6 +173,12 @@ void checkInput(const BenchFlags& flags, BenchPlan& plan)
     std::set<std::string> studies = plan.studies;
     if (flags.stability) studies.insert("stability");
     checkStudyFlags(flags.given, studies);
+    const bool hasSets = studies.count("radii") + studies.count("nearest") > 0;
+    if (!flags.csv.empty() && studies.count("methods") > 0 && hasSets) {
+        throw InvalidInput(
+            "--csv is one table, that of --study methods or that of radii and nearest: ask for them "
+            "one after the other, or take --json");
+    }
 }
 
 void checkFiles(const BenchFlags& flags)
@@ -256,6 +267,26 @@ void requireOne(const std::vector<BenchResult>& results)
     if (!results.empty()) std::rethrow_exception(results.front().refusal);
 }
 
+void requireExactSets(const std::vector<SetResult>& results)
+{
+    for (const SetResult& result : results) {
+        if (!result.isOurs || result.wrong.wrong() == 0) continue;
+        throw CheckFailed("ours is wrong with " + result.radii + " radii, " + result.mode +
+                          (result.nearest > 0 ? ", nearest " + std::to_string(result.nearest) : "") + ": " +
+                          std::to_string(result.wrong.missing) + " missing, " +
+                          std::to_string(result.wrong.extra + result.wrong.duplicates) + " extra pairs in " +
+                          std::to_string(result.wrong.checkedQueries) + " queries; please report it");
+    }
+}
+
+// As requireOne().
+void requireOneSet(const std::vector<SetResult>& results)
+{
+    const auto isDone = [](const SetResult& result) { return !result.refusal; };
+    if (results.empty() || std::any_of(results.begin(), results.end(), isDone)) return;
+    std::rethrow_exception(results.front().refusal);
+}
+
 void requireStable(const std::vector<StabilityTrial>& trials)
 {
     for (const StabilityTrial& trial : trials) {
@@ -269,7 +300,9 @@ void requireStable(const std::vector<StabilityTrial>& trials)
 void deliver(const BenchFlags& flags, const BenchReport& report)
 {
     if (!flags.csv.empty()) {
-        const std::string csv = benchCsv(report.results);
+        std::vector<SetResult> sets = report.radii;
+        sets.insert(sets.end(), report.nearest.begin(), report.nearest.end());
+        const std::string csv = sets.empty() ? benchCsv(report.results) : setResultsCsv(sets);
         writeFile(flags.csv, csv.data(), csv.size(), outputOptions(flags.common));
     }
     const std::string json = benchJson(report);
@@ -283,8 +316,12 @@ void deliver(const BenchFlags& flags, const BenchReport& report)
     }
     requireExact(report.results);
     for (const ScalingResult& scaling : report.scaling) requireExact({scaling.result});
+    requireExactSets(report.radii);
+    requireExactSets(report.nearest);
     requireStable(report.stability);
     requireOne(report.results);
+    requireOneSet(report.radii);
+    requireOneSet(report.nearest);
     if (noChart) std::rethrow_exception(noChart);
 }
 
@@ -352,6 +389,10 @@ private:
         } else if (study == "scaling") {
             report.scaling =
                 studyScaling(mPoints, methodOptions(growingMethods(mSuits)), truthOptions(), span);
+        } else if (study == "radii") {
+            report.radii = studyRadii(mPoints, setOptions(), span);
+        } else if (study == "nearest") {
+            report.nearest = studyNearest(mPoints, setOptions(), span);
         } else if (study == "files") {
             report.files = {studyFiles(mPoints.scene, fileOptions(), span)};
         } else {
@@ -363,6 +404,17 @@ private:
     {
         TruthOptions options = mPlan.truth;
         options.progress = &mProgress;
+        return options;
+    }
+
+    SetStudyOptions setOptions() const
+    {
+        SetStudyOptions options;
+        options.search = mSetup.options;
+        options.radius = mRadius;
+        options.repeat = mPlan.repeat;
+        options.seed = mPlan.truth.seed;
+        options.truth = truthOptions();
         return options;
     }
 

@@ -3,6 +3,7 @@
 
 #include "bench/found_neighbors.h"
 #include "bench/methods/device_measures.h"
+#include "bench/set_search.h"
 #include "progress_printer.h"
 #include "vdb_nns/particle_view.h"
 #include "vdb_nns/planning/schedule.h"
@@ -76,12 +77,21 @@ public:
     /// @throws Cancelled, CapacityError, and InvalidInput for a request that it refuses
     virtual MethodRun run(const ParticleView& view, double radius, const ProgressSpan& span) = 0;
 
+    /// The same for two sets; result and throws as run().
+    /// @throws std::logic_error for a search that missingSearch() says that the method has not
+    virtual MethodRun runSets(const SetSearch& search, const ProgressSpan& span);
+
     /// Drops the result, so that its memory can be used again.
     virtual void discard() = 0;
 
     /// The result of the last run. @throws std::logic_error without one
     virtual const FoundNeighbors& found() const = 0;
 };
+
+inline MethodRun Method::runSets(const SetSearch&, const ProgressSpan&)
+{
+    throw std::logic_error("a method of bench was asked for a search of sets that it has not");
+}
 
 /// A method whose result is made anew by each run.
 class MethodWithResult : public Method {

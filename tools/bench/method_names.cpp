@@ -58,6 +58,7 @@ const std::vector<Single>& singles()
         {"openvdb", MethodKind::kPeer, {}},
         {"nanoflann-float", MethodKind::kPeer, {}},
         {"nanoflann-double", MethodKind::kPeer, {}},
+        {"treensearch", MethodKind::kPeer, {}},
         {"brute-force", MethodKind::kPeer, {}},
     };
     return list;
@@ -254,6 +255,40 @@ std::vector<MethodSpec> parseMethods(const std::string& list, const MethodSuits&
         }
     }
     return specs;
+}
+
+namespace {
+
+std::string missingInTreeNSearch(const SetSearch& search)
+{
+    if (!search.radius.isOne() && search.radius.mode == RadiusMode::kScatter)
+        return "has no radii of candidates alone";
+    if (search.nearest > 0) return "has no search of the nearest";
+    const bool hasRoles = !search.queries.chosen.empty() || !search.candidates.chosen.empty();
+    return hasRoles || !search.isOneSet() ? "is asked for one set here" : "";
+}
+
+} // namespace
+
+std::string missingSearch(const MethodSpec& spec, const SetSearch& search)
+{
+    if (search.isPlain()) return {};
+    const bool isGather = search.radius.isOne() || search.radius.mode == RadiusMode::kGather;
+    switch (spec.kind) {
+    case MethodKind::kEngine:
+        return search.nearest > 0 && spec.encoding == Encoding::kMask ? "holds no masks of the nearest" : "";
+    case MethodKind::kDevice:
+        return "devices search all particles within one radius";
+    case MethodKind::kAblation:
+    case MethodKind::kApproximate:
+        return "searches all particles within one radius";
+    case MethodKind::kPeer:
+        break;
+    }
+    if (spec.family == "brute-force") return {};
+    if (spec.family == "treensearch") return missingInTreeNSearch(search);
+    if (!isGather) return "has no radii of candidates";
+    return search.nearest > 0 && spec.family == "openvdb" ? "has no search of the nearest" : "";
 }
 
 std::unique_ptr<Method> makeMethod(const MethodSpec& spec, const MethodSetup& setup)

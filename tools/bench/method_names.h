@@ -28,6 +28,9 @@ struct MethodSuits {
 /// @throws InvalidInput
 std::vector<MethodSpec> parseMethods(const std::string& list, const MethodSuits& suits);
 
+/// Empty if the method has such a search, else a sentence that says what it lacks.
+std::string missingSearch(const MethodSpec& spec, const SetSearch& search);
+
 /// What methods need to be made.
 struct MethodSetup {
     SearchOptions options;

@@ -16,19 +16,20 @@ struct StudyFlag {
 // Flags that are not here are heeded whatever is looked at.
 const std::vector<StudyFlag>& studyFlags()
 {
-    const std::vector<const char*> withPoints = {"methods", "estimators", "budgets", "resolution",
-                                                 "scaling", "model",      "files"};
+    const std::vector<const char*> withPoints = {"methods", "estimators", "budgets", "resolution", "scaling",
+                                                 "model",   "files",      "radii",   "nearest"};
     static const std::vector<StudyFlag> flags = {
         {"--method", {"methods", "stability"}},
         {"--estimator", {"estimators"}},
-        {"--csv", {"methods"}},
-        {"--sample", {"methods", "scaling"}},
+        {"--csv", {"methods", "radii", "nearest"}},
+        {"--sample", {"methods", "scaling", "radii", "nearest"}},
         {"--device", {"methods", "budgets", "model"}},
         {"--device-memory", {"methods", "budgets", "model"}},
         {"--sim", {"methods", "budgets", "model"}},
-        {"--cell-size", {"methods", "estimators", "budgets", "scaling", "model"}},
+        {"--cell-size", {"methods", "estimators", "budgets", "scaling", "model", "radii", "nearest"}},
         {"--repeat", withPoints},
-        {"--shuffle", {"methods", "estimators", "budgets", "resolution", "scaling", "model"}},
+        {"--shuffle",
+         {"methods", "estimators", "budgets", "resolution", "scaling", "model", "radii", "nearest"}},
         {"--seed", withPoints},
         {"--points-out", withPoints},
         {"--radius", withPoints},

@@ -94,12 +94,7 @@ Truth sampleTruth(const PointCloud& cloud, const PairJudge& judge, std::uint64_t
     const std::uint64_t size = cloud.x.size();
     sample = std::min<std::uint64_t>(sample, size);
     truth.complete = sample == size;
-    for (std::uint64_t k = 0; k < sample; ++k) {
-        // Every point once it is all of them, else a point of each of `sample` equal shares.
-        const std::uint64_t low = size * k / sample, high = size * (k + 1) / sample;
-        truth.queries.push_back(
-            static_cast<std::uint32_t>(low + mix64(mix64(options.seed) + k) % (high - low)));
-    }
+    truth.queries = drawQueries(size, sample, options.seed);
     Rows rows(sample);
     QueryCounter counter(sample, options.progress, share);
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, sample, 1), [&](const auto& range) {
@@ -155,6 +150,17 @@ bool allAreFew(const PointCloud& cloud, const PairJudge& judge, const TruthOptio
 }
 
 } // namespace
+
+std::vector<std::uint32_t> drawQueries(std::uint64_t size, std::uint64_t sample, std::uint64_t seed)
+{
+    sample = std::min(sample, size);
+    std::vector<std::uint32_t> queries;
+    for (std::uint64_t k = 0; k < sample; ++k) {
+        const std::uint64_t low = size * k / sample, high = size * (k + 1) / sample;
+        queries.push_back(static_cast<std::uint32_t>(low + mix64(mix64(seed) + k) % (high - low)));
+    }
+    return queries;
+}
 
 Truth findTruth(const ParticleView& view, double radius, const TruthOptions& options)
 {

@@ -1,6 +1,7 @@
 // Exact truth: who is a neighbor by definition, from the independent search that `verify` uses.
 #pragma once
 
+#include "bench/set_search.h"
 #include "vdb_nns/particle_view.h"
 #include "vdb_nns/progress.h"
 #include "vdb_nns/types.h"
@@ -29,8 +30,9 @@ struct Truth {
 };
 
 struct TruthOptions {
-    /// Queries drawn, each tested against all particles; 0: none. Empty: every particle is a query, found by cells, where that
-    /// takes no more than some ten seconds and a quarter of the memory, else 1000 are drawn.
+    /// Queries drawn, each tested against all candidates; 0: none. Empty: every particle is a query, found by
+    /// cells, where that takes no more than some ten seconds and a quarter of the memory, else 1000 are
+    /// drawn.
     std::optional<std::uint64_t> sample;
     std::uint64_t seed = 1;
     Progress* progress = nullptr;
@@ -39,6 +41,15 @@ struct TruthOptions {
 /// Double arithmetic with a certified bound, exact arithmetic inside it.
 /// @throws InputError when positions are too large for double arithmetic; Cancelled
 Truth findTruth(const ParticleView& view, double radius, const TruthOptions& options);
+
+/// The same of two sets, radii of particles and the nearest, by the search of `verify` for these. Every
+/// particle of the queries' view has a row, empty for those without the role; the densities are left out.
+/// @throws as above
+Truth findTruth(const SetSearch& search, const TruthOptions& options);
+
+/// Every particle once `sample` is all of them, else one of each of `sample` equal shares; ascending. The
+/// same seed draws the same.
+std::vector<std::uint32_t> drawQueries(std::uint64_t size, std::uint64_t sample, std::uint64_t seed);
 
 /// What a pair at this distance adds to Truth::density; 0 beyond the radius.
 inline double densityWeight(double distance, double radius)

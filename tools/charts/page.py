@@ -42,6 +42,15 @@ SHARE_HOW = (
     "is searched."
 )
 SAVINGS_HOW = "What is left out when the scene, or the question, does not need it, and what that saves."
+RADII_HOW = (
+    "Every particle has a radius of its own: graded 1:100 with the spacing, or one in a hundred four times "
+    "as large. The engine, which is exact, beside what one does without such radii. Where fewer queries than "
+    "particles were timed, seconds are scaled up to all."
+)
+NEAREST_HOW = (
+    "Of every list only the nearest within the radius. The engine, which is exact, beside full lists, full "
+    "lists that are sorted and cut afterwards, and the nearest of a tree, with and without the radius."
+)
 STABILITY_HOW = (
     "Cases in which methods of this kind are known to fail. The best answer is exact, the next best a "
     "refusal; wrong pairs without a word are worse, and a crash takes the host program along. Rest the "
@@ -111,6 +120,8 @@ def build(report):
         Section(
             "No more than a scene needs", SAVINGS_HOW, "--study model", body=made(tables.savings, "savings")
         ),
+        Section("Radii of particles", RADII_HOW, "--study radii", body=made(tables.radii, "radii")),
+        Section("The nearest", NEAREST_HOW, "--study nearest", body=made(tables.nearest, "nearest")),
     ]
     return _document(report, sections), [chart for section in sections for chart in section.charts]
 

@@ -14,6 +14,8 @@ KEYS = {
     "scaling": ("scene", "method", "vary", "value"),
     "model_share": ("scene", "encoding", "in_core"),
     "savings": ("scene", "part", "unit"),
+    "radii": ("scene", "radii", "mode", "method"),
+    "nearest": ("scene", "nearest", "method"),
     "stability": ("case", "group", "method"),
 }
 

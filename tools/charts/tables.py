@@ -405,3 +405,41 @@ def savings(report):
             Column("saved", lambda row: percent(saved(row)), bar=lambda row: max(0, saved(row) or 0)),
         ],
     )
+
+
+def _sets(report, section, part):
+    """A table for each part of a study of sets; `part` gives the title of a row's part."""
+    titles = dict.fromkeys(part(row) for row in report[section])
+    return "\n".join(
+        f"<h3>{escape(title)}</h3>\n" + _set_table([row for row in report[section] if part(row) == title])
+        for title in titles
+    )
+
+
+def _set_table(rows):
+    return table(
+        rows,
+        [
+            Column("method", words("method"), style="text"),
+            Column("particles", value("points", show=short)),
+            Column("queries<br>timed", value("queries", show=short)),
+            Column("pairs", value("pairs", show=short)),
+            Column("grid, s", value("seconds", "grid")),
+            Column("search, s", value("seconds", "search")),
+            Column("total, s", value("seconds", "total"), bar=lambda row: number(row, "seconds", "total")),
+            Column("against<br>ours", value("ratio")),
+            Column("missing", value("accuracy", "missing", show=short)),
+            Column("extra", value("accuracy", "extra", show=short)),
+            Column("wrong<br>/ million", value("accuracy", "wrong_per_million")),
+            Column("message", words("message"), style="text long"),
+        ],
+        marked=lambda row: row.get("exact") is True,
+    )
+
+
+def radii(report):
+    return _sets(report, "radii", lambda row: ", ".join(text(row, key) for key in ("scene", "radii", "mode")))
+
+
+def nearest(report):
+    return _sets(report, "nearest", lambda row: f"{text(row, 'scene')}, the nearest {plain(number(row, 'nearest'))}")

@@ -13,6 +13,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <stdexcept>
 
 namespace vdb_nns::cli {
 namespace {
@@ -31,8 +32,12 @@ private:
     using Real = FrameReal<kFrame>;
     using Scratch = AblationScratch<kFrame>;
 
-    void search(const ParticleView& view, double radius, MethodRun& result) override
+    void search(const SetSearch& all, MethodRun& result) override
     {
+        if (!all.isPlain())
+            throw std::logic_error("bench: the engine's parts search all particles of one view");
+        const ParticleView& view = all.queries.view;
+        const double radius = all.radius.value;
         const Stopwatch gridWatch;
         const SparseGrid grid = mEngine.buildGrid(view, radius, mOptions);
         mStructure.build(grid);

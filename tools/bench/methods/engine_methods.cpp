@@ -22,15 +22,35 @@ public:
         const SparseGrid grid = mEngine.buildGrid(view, radius, mOptions);
         result.gridSeconds = gridWatch.seconds();
         result.structureBytes = grid.bytes();
-        mVisits ? visit(grid, result) : list(grid, result);
+        find(grid, mOptions, result);
+        return result;
+    }
+
+    MethodRun runSets(const SetSearch& search, const ProgressSpan& span) override
+    {
+        discard();
+        span.printer.begin("search", span.begin, span.end);
+        SearchOptions options = mOptions;
+        options.nearest = search.nearest;
+        MethodRun result;
+        const Stopwatch sortWatch;
+        const SearchSets sets = mEngine.sort(search.candidates, search.queries, search.radius, options);
+        result.gridSeconds = sortWatch.seconds();
+        result.structureBytes = sets.bytes();
+        find(sets, options, result);
         return result;
     }
 
 private:
-    void list(const SparseGrid& grid, MethodRun& result)
+    void find(const SearchSets& sets, const SearchOptions& options, MethodRun& result)
+    {
+        mVisits ? visit(sets, options, result) : list(sets, options, result);
+    }
+
+    void list(const SearchSets& sets, const SearchOptions& options, MethodRun& result)
     {
         const Stopwatch watch;
-        const NeighborLists lists = mEngine.search(grid, mOptions);
+        const NeighborLists lists = mEngine.search(sets, options);
         result.searchSeconds = watch.seconds();
         result.pairs = lists.pairCount();
         result.listBytes = lists.bytes();
@@ -38,16 +58,16 @@ private:
     }
 
     // The least that a visitor can do: it counts. What a solver would sum up instead costs its own.
-    void visit(const SparseGrid& grid, MethodRun& result)
+    void visit(const SearchSets& sets, const SearchOptions& options, MethodRun& result)
     {
-        std::vector<std::uint32_t> counts(grid.view().size());
+        std::vector<std::uint32_t> counts(sets.rowCount());
         const Stopwatch watch;
         mEngine.visitRows(
-            grid,
+            sets,
             [&counts](std::uint32_t query, Span<const std::uint32_t> neighbors) {
                 counts[query] = static_cast<std::uint32_t>(neighbors.size());
             },
-            mOptions);
+            options);
         result.searchSeconds = watch.seconds();
         result.pairs = std::accumulate(counts.begin(), counts.end(), std::uint64_t(0));
         result.listBytes = counts.size() * sizeof(counts[0]);

@@ -1,4 +1,5 @@
-// nanoflann's tree in three dimensions, as its examples use it. A neighbor is nearer than the radius, not at it.
+// nanoflann's tree in three dimensions, as its examples use it. A neighbor is nearer than the radius, not at
+// it; of the nearest, which are found without a radius, those at it are kept.
 #include "bench/methods/peers.h"
 
 #if defined(VDB_NNS_HAVE_NANOFLANN)
@@ -57,11 +58,18 @@ private:
 
         RowWriter rows;
         std::vector<Hit<Real>> hits;
+        std::vector<std::uint32_t> numbers; // of the nearest
+        std::vector<Real> squares;
     };
 
-    void search(const ParticleView& view, double radius, MethodRun& result) override
+    void search(const SetSearch& sets, MethodRun& result) override
     {
-        Points points{worldPositions<Real>(view)};
+        Members<Real> members = membersOf<Real>(sets.candidates);
+        Points points{std::move(members.xyz)};
+        const bool isSame = sets.isOneSet() && sets.candidates.chosen.empty();
+        const std::vector<Real> others =
+            isSame ? std::vector<Real>() : worldPositions<Real>(sets.queries.view);
+        const std::vector<Real>& queries = isSame ? points.xyz : others;
         const Stopwatch treeWatch;
         Tree tree(3, points, nanoflann::KDTreeSingleIndexAdaptorParams(kLeafSize));
         result.gridSeconds = treeWatch.seconds();
@@ -69,26 +77,63 @@ private:
 
         const Stopwatch searchWatch;
         for (Worker& worker : mWorkers) worker.rows.restart();
-        const Real radiusSquared = static_cast<Real>(radius) * static_cast<Real>(radius);
-        tbb::parallel_for(tbb::blocked_range<std::size_t>(0, view.size(), 512), [&](const auto& range) {
+        const std::size_t count = sets.queries.view.size();
+        tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 512), [&](const auto& range) {
             throwIfStopped();
             Worker& worker = mWorkers.local();
             for (std::size_t i = range.begin(); i < range.end(); ++i) {
+                if (!sets.hasQuery(i)) continue;
+                const Real radius = static_cast<Real>(sets.queryRadius(i));
+                const Real* const at = queries.data() + 3 * i;
+                const std::uint32_t self = sets.isOneSet() ? static_cast<std::uint32_t>(i) : kNobody;
+                if (sets.nearest > 0) {
+                    findNearest(tree, at, sets.nearest, self != kNobody, worker);
+                    writeNearest(static_cast<std::uint32_t>(i), self, sets.nearest, radius * radius, members,
+                                 worker);
+                    continue;
+                }
                 worker.hits.clear();
-                tree.radiusSearch(points.xyz.data() + 3 * i, radiusSquared, worker.hits, kExactUnsorted);
-                writeRow(static_cast<std::uint32_t>(i), worker);
+                tree.radiusSearch(at, radius * radius, worker.hits, kExactUnsorted);
+                writeRow(static_cast<std::uint32_t>(i), self, members, worker);
             }
         });
         for (const Worker& worker : mWorkers) result.pairs += worker.rows.pairs();
         result.searchSeconds = searchWatch.seconds();
     }
 
-    static void writeRow(std::uint32_t query, Worker& worker)
+    static constexpr std::uint32_t kNobody = ~std::uint32_t(0); // a view has fewer particles
+
+    static void writeRow(std::uint32_t query, std::uint32_t self, const Members<Real>& members,
+                         Worker& worker)
     {
         std::uint32_t* const row = worker.rows.reserve(worker.hits.size());
         std::uint32_t count = 0;
         for (const auto& hit : worker.hits) {
-            if (hit.first != query) row[count++] = hit.first;
+            const std::uint32_t number = members.number(hit.first);
+            if (number != self) row[count++] = number;
+        }
+        worker.rows.commit(query, count);
+    }
+
+    // One more where the query itself may be among them.
+    static void findNearest(const Tree& tree, const Real* at, std::uint32_t nearest, bool hasSelf,
+                            Worker& worker)
+    {
+        const std::size_t most = std::size_t(nearest) + (hasSelf ? 1 : 0);
+        worker.numbers.resize(most);
+        worker.squares.resize(most);
+        const std::size_t found = tree.knnSearch(at, most, worker.numbers.data(), worker.squares.data());
+        worker.numbers.resize(found);
+    }
+
+    static void writeNearest(std::uint32_t query, std::uint32_t self, std::uint32_t nearest,
+                             Real radiusSquared, const Members<Real>& members, Worker& worker)
+    {
+        std::uint32_t* const row = worker.rows.reserve(worker.numbers.size());
+        std::uint32_t count = 0;
+        for (std::size_t k = 0; k < worker.numbers.size() && count < nearest; ++k) {
+            const std::uint32_t number = members.number(worker.numbers[k]);
+            if (number != self && worker.squares[k] <= radiusSquared) row[count++] = number;
         }
         worker.rows.commit(query, count);
     }

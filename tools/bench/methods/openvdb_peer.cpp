@@ -28,12 +28,14 @@ struct PointList {
 };
 
 struct Hits {
-    std::uint32_t query;
+    const Members<double>* members;
+    std::uint32_t self;
     std::vector<std::uint32_t> numbers;
 
     void operator()(double, std::size_t i)
     {
-        if (i != query) numbers.push_back(static_cast<std::uint32_t>(i));
+        const std::uint32_t number = members->number(static_cast<std::uint32_t>(i));
+        if (number != self) numbers.push_back(number);
     }
 };
 
@@ -48,14 +50,16 @@ private:
         Hits hits;
     };
 
-    void search(const ParticleView& view, double radius, MethodRun& result) override
+    void search(const SetSearch& sets, MethodRun& result) override
     {
+        constexpr std::uint32_t kNobody = ~std::uint32_t(0); // a view has fewer particles
+        const Members<double> members = membersOf<double>(sets.candidates);
+        const double radius = sets.largestRadius();
         PointList list;
-        list.points.resize(view.size());
-        for (std::size_t i = 0; i < view.size(); ++i) {
-            const Vec3d at = view.worldPosition(i);
-            list.points[i] = {at[0], at[1], at[2]};
-        }
+        list.points.resize(members.xyz.size() / 3);
+        for (std::size_t i = 0; i < list.points.size(); ++i)
+            list.points[i] =
+                openvdb::Vec3R(members.xyz[3 * i], members.xyz[3 * i + 1], members.xyz[3 * i + 2]);
         const Stopwatch gridWatch;
         const openvdb::tools::PointIndexGrid::Ptr grid =
             openvdb::tools::createPointIndexGrid<openvdb::tools::PointIndexGrid>(list,
@@ -67,15 +71,20 @@ private:
         for (Worker& worker : mWorkers) worker.rows.restart();
         const Filter original(list, grid->tree(), grid->transform());
         tbb::enumerable_thread_specific<Filter> filters([&original] { return Filter(original); });
-        tbb::parallel_for(tbb::blocked_range<std::size_t>(0, view.size(), 512), [&](const auto& range) {
+        const ParticleView& queries = sets.queries.view;
+        tbb::parallel_for(tbb::blocked_range<std::size_t>(0, queries.size(), 512), [&](const auto& range) {
             throwIfStopped();
             Worker& worker = mWorkers.local();
             Filter& filter = filters.local();
+            worker.hits.members = &members;
             for (std::size_t i = range.begin(); i < range.end(); ++i) {
-                worker.hits.query = static_cast<std::uint32_t>(i);
+                if (!sets.hasQuery(i)) continue;
+                const auto query = static_cast<std::uint32_t>(i);
+                const Vec3d at = queries.worldPosition(i);
+                worker.hits.self = sets.isOneSet() ? query : kNobody;
                 worker.hits.numbers.clear();
-                filter.searchAndApply(list.points[i], radius, worker.hits);
-                worker.rows.append(worker.hits.query, worker.hits.numbers.data(), worker.hits.numbers.size());
+                filter.searchAndApply(openvdb::Vec3R(at[0], at[1], at[2]), sets.queryRadius(i), worker.hits);
+                worker.rows.append(query, worker.hits.numbers.data(), worker.hits.numbers.size());
             }
         });
         for (const Worker& worker : mWorkers) result.pairs += worker.rows.pairs();

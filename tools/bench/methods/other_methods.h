@@ -24,7 +24,8 @@ namespace vdb_nns::cli {
 std::unique_ptr<Method> makeAblationMethod(const MethodSpec& spec, const SearchOptions& options,
                                            double voxelSize);
 
-/// kPeer: openvdb (PointIndexGrid and PointIndexFilter), nanoflann-float, nanoflann-double, brute-force (double).
+/// kPeer: openvdb (PointIndexGrid and PointIndexFilter), nanoflann-float, nanoflann-double, treensearch,
+/// brute-force (double).
 /// @throws InvalidInput for one that this program was built without, with what to install
 std::unique_ptr<Method> makePeerMethod(const MethodSpec& spec);
 

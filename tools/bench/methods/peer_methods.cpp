@@ -25,8 +25,31 @@ std::vector<Real> worldPositions(const ParticleView& view)
 template std::vector<float> worldPositions(const ParticleView&);
 template std::vector<double> worldPositions(const ParticleView&);
 
+template <typename Real>
+Members<Real> membersOf(const ParticleSet& set)
+{
+    Members<Real> members;
+    members.xyz = worldPositions<Real>(set.view);
+    if (set.chosen.empty()) return members;
+    for (std::size_t i = 0; i < set.view.size(); ++i) {
+        if (set.chosen[i] == 0) continue;
+        for (std::size_t k = 0; k < 3; ++k)
+            members.xyz[3 * members.numbers.size() + k] = members.xyz[3 * i + k];
+        members.numbers.push_back(static_cast<std::uint32_t>(i));
+    }
+    members.xyz.resize(3 * members.numbers.size());
+    return members;
+}
+
+template Members<float> membersOf(const ParticleSet&);
+template Members<double> membersOf(const ParticleSet&);
+
 std::string missingPeer(const std::string& family)
 {
+    if (family == "treensearch" && !hasTreeNSearch()) {
+        return "TreeNSearch was not there when this program was built; get its sources, configure with "
+               "-DVDB_NNS_TREENSEARCH=FOLDER and build again";
+    }
     if (family.rfind("nanoflann", 0) != 0 || hasNanoflann()) return {};
     return "nanoflann was not there when this program was built; install libnanoflann-dev and build again";
 }
@@ -38,6 +61,7 @@ std::unique_ptr<Method> makePeerMethod(const MethodSpec& spec)
     if (spec.family == "openvdb") return makeOpenVdbPeer();
     if (spec.family == "nanoflann-float") return makeNanoflannPeer(false);
     if (spec.family == "nanoflann-double") return makeNanoflannPeer(true);
+    if (spec.family == "treensearch") return makeTreeNSearchPeer();
     if (spec.family == "brute-force") return makeBruteForce();
     throw std::logic_error("bench: no peer " + spec.family);
 }

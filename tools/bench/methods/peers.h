@@ -3,6 +3,7 @@
 
 #include "bench/methods/row_method.h"
 
+#include <cstdint>
 #include <memory>
 #include <vector>
 
@@ -11,6 +12,17 @@ namespace vdb_nns::cli {
 /// World positions as a user of such a library has them: x y z triples, non-finite ones as they are.
 template <typename Real>
 std::vector<Real> worldPositions(const ParticleView& view);
+
+/// The particles of a set that have its role, for libraries that know no roles.
+template <typename Real>
+struct Members {
+    std::vector<Real> xyz;
+    std::vector<std::uint32_t> numbers; ///< empty: all particles of the view
+
+    std::uint32_t number(std::uint32_t k) const { return numbers.empty() ? k : numbers[k]; }
+};
+template <typename Real>
+Members<Real> membersOf(const ParticleSet& set);
 
 std::unique_ptr<Method> makeOpenVdbPeer();
 
@@ -22,6 +34,11 @@ double timeOpenVdbRead(const std::string& path);
 bool hasNanoflann();
 /// Null without it.
 std::unique_ptr<Method> makeNanoflannPeer(bool inDoubles);
+
+/// Whether the program was built with TreeNSearch.
+bool hasTreeNSearch();
+/// Null without it. It may end the program, or kill it, where its input does not suit it.
+std::unique_ptr<Method> makeTreeNSearchPeer();
 
 /// Every pair, in doubles. Rows ascending.
 std::unique_ptr<Method> makeBruteForce();

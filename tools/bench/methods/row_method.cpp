@@ -24,12 +24,19 @@ void RowWriter::append(std::uint32_t query, const std::uint32_t* row, std::size_
 
 MethodRun RowMethod::run(const ParticleView& view, double radius, const ProgressSpan& span)
 {
+    return runSets({view, radius}, span);
+}
+
+MethodRun RowMethod::runSets(const SetSearch& sets, const ProgressSpan& span)
+{
     discard();
     span.printer.begin("search", span.begin, span.end);
     mPool.restart();
-    mRows.places.resize(view.size());
+    mRows.places.resize(sets.queries.view.size());
+    if (!sets.queries.chosen.empty())
+        std::fill(mRows.places.begin(), mRows.places.end(), RowBuffers::Place{});
     MethodRun result;
-    search(view, radius, result);
+    search(sets, result);
     result.listBytes = mRows.places.size() * sizeof(RowBuffers::Place) + result.pairs * sizeof(std::uint32_t);
     mHasResult = true;
     return result;

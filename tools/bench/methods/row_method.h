@@ -76,12 +76,14 @@ private:
 class RowMethod : public Method {
 public:
     MethodRun run(const ParticleView& view, double radius, const ProgressSpan& span) final;
+    MethodRun runSets(const SetSearch& search, const ProgressSpan& span) final;
     void discard() override { mHasResult = false; }
     const FoundNeighbors& found() const override;
 
 protected:
-    /// Writes a row for every query, and fills in seconds, pairs and structureBytes.
-    virtual void search(const ParticleView& view, double radius, MethodRun& result) = 0;
+    /// Writes a row for every query that has the role, and fills in seconds, pairs and structureBytes. Rows
+    /// of others are empty before.
+    virtual void search(const SetSearch& search, MethodRun& result) = 0;
 
     RowBuffers mRows;
     RowPool mPool{mRows};

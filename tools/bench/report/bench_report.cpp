@@ -1,6 +1,7 @@
 #include "bench/report/bench_report.h"
 
 #include "bench/report/device_report.h"
+#include "bench/report/set_report.h"
 #include "bench/report/study_report.h"
 #include "machine.h"
 #include "report.h"
@@ -116,17 +117,6 @@ Json resultJson(const BenchResult& result)
     return result.message.empty() ? json : refusedJson(json);
 }
 
-// A name may hold a comma or a quote.
-std::string csvField(const std::string& text)
-{
-    std::string quoted = "\"";
-    for (const char c : printable(text)) {
-        if (c == '"') quoted += '"';
-        quoted += c;
-    }
-    return quoted + "\"";
-}
-
 unsigned long long wide(std::uint64_t value)
 {
     return value;
@@ -215,6 +205,16 @@ std::string agreementText(const std::vector<BenchResult>& results)
 
 } // namespace
 
+std::string csvField(const std::string& text)
+{
+    std::string quoted = "\"";
+    for (const char c : printable(text)) {
+        if (c == '"') quoted += '"';
+        quoted += c;
+    }
+    return quoted + "\"";
+}
+
 std::string benchJson(const BenchReport& report)
 {
     Json json;
@@ -233,6 +233,8 @@ std::string benchJson(const BenchReport& report)
     json["model_share"] = modelSharesJson(report.model.shares);
     json["savings"] = savingsJson(report.model.savings);
     json["files"] = filesJson(report.files);
+    json["radii"] = setResultsJson(report.radii);
+    json["nearest"] = setResultsJson(report.nearest);
     json["stability"] = stabilityJson(report.stability);
     return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
@@ -282,7 +284,8 @@ std::string benchText(const BenchReport& report)
     if (!results.empty()) text += refusalsText(report.results); // else the first one is the error
     return text + estimatorsText(report.estimators) + budgetsText(report.budgets) +
            resolutionText(report.resolution) + scalingText(report.scaling) + modelText(report.model) +
-           filesText(report.files) + (report.stability.empty() ? "" : stabilityText(report.stability));
+           filesText(report.files) + radiiText(report.radii) + nearestText(report.nearest) +
+           (report.stability.empty() ? "" : stabilityText(report.stability));
 }
 
 } // namespace vdb_nns::cli

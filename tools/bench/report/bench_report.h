@@ -10,6 +10,7 @@
 #include "bench/studies/model_study.h"
 #include "bench/studies/resolution_study.h"
 #include "bench/studies/scaling_study.h"
+#include "bench/studies/set_study.h"
 
 #include <optional>
 #include <string>
@@ -28,6 +29,7 @@ struct BenchReport {
     std::vector<ScalingResult> scaling;
     ModelStudy model;
     std::vector<FileResult> files;
+    std::vector<SetResult> radii, nearest;
     std::vector<StabilityTrial> stability;
 };
 
@@ -35,5 +37,8 @@ std::string benchJson(const BenchReport& report);
 /// The results of methods alone.
 std::string benchCsv(const std::vector<BenchResult>& results);
 std::string benchText(const BenchReport& report);
+
+/// A name that may hold a comma or a quote, for a CSV.
+std::string csvField(const std::string& text);
 
 } // namespace vdb_nns::cli

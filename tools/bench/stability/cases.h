@@ -26,6 +26,8 @@ struct CaseParticles {
     double radius = 0;
     KnownRows known = KnownRows::kUnknown;
     std::shared_ptr<const void> owner; ///< of what the view views
+    /// In place of all particles of the view within the radius; null: those. Views what the owner owns.
+    std::shared_ptr<const SetSearch> search = {};
 };
 
 /// What bounds the host memory of methods of the engine.
@@ -40,6 +42,7 @@ enum class HostRoom {
 struct RunCondition {
     bool threadCounts = false; ///< a run for each of 1 to twice as many threads as there are cores
     bool shuffled = false;     ///< a run in order and one in random order
+    bool mirrored = false;     ///< a run as it is, one with x negated and one with all three
     HostRoom hostRoom = HostRoom::kFree;
     double cellSize = 0; ///< of methods of the engine, in radii; 0: what suits the particles
     std::optional<std::uint64_t>
@@ -84,6 +87,7 @@ std::vector<StabilityCase> stabilityCases(const std::vector<std::string>& names)
 std::vector<StabilityCase> precisionCases(); ///< ties, far from the origin, huge and tiny scales
 std::vector<StabilityCase> shapeCases();     ///< seams, sparse domains, sheets, clusters, duplicates
 std::vector<StabilityCase> inputCases();     ///< few particles, radius out of scale, non-finite, bad radius
+std::vector<StabilityCase> setCases();       ///< roles, radii of particles, the nearest
 std::vector<StabilityCase> vdbCases();       ///< point grids: transforms, codecs, unusual grids
 std::vector<StabilityCase> runCases();       ///< order, threads, host memory, devices, estimates that lie
 

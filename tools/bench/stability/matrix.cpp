@@ -8,9 +8,10 @@ namespace vdb_nns::cli {
 std::vector<MethodSpec> stabilityMethods()
 {
     std::vector<MethodSpec> specs;
-    for (const char* name : {"ours-index", "ours-mask", "ours-count", "ours-visit", "blocks-index",
-                             "blocks-mask", "both-auto-index", "filter-only", "world-float", "world-double",
-                             "openvdb", "nanoflann-float", "nanoflann-double", "brute-force"}) {
+    for (const char* name :
+         {"ours-index", "ours-mask", "ours-count", "ours-visit", "blocks-index", "blocks-mask",
+          "both-auto-index", "filter-only", "world-float", "world-double", "openvdb", "nanoflann-float",
+          "nanoflann-double", "treensearch", "brute-force"}) {
         if (missingPeer(name).empty()) specs.push_back(parseMethod(name));
     }
     return specs;

@@ -209,6 +209,26 @@ void addSeams(std::vector<StabilityCase>& cases)
                    "a cloud and its mirror images: hashes of |x| collide, Ten Minute Physics #26, "
                    "PointNeXt #130",
                    mirrored));
+    // A mirrored scene has the same lists, though its cells are cut elsewhere.
+    StabilityCase negative = floatCase(
+        "seams", "negative", "a block with all coordinates below 0, and its mirror images: warp #1256", [] {
+            return blockPoints(14, {-60.3, -41.7, -1000.2});
+        });
+    negative.condition.mirrored = true;
+    cases.push_back(negative);
+    StabilityCase images = floatCase("seams", "mirror-images",
+                                     "clusters and their mirror images: lists do not know left from right",
+                                     [] { return scenePoints("clusters", 4000); });
+    images.condition.mirrored = true;
+    cases.push_back(images);
+    StabilityCase ties = floatCase("seams", "mirror-ties", "a lattice of ties and its mirror images", [] {
+        CasePoints points;
+        CaseRandom random(18);
+        addLattice(points.at, {-7, -8, -9}, {13, 13, 13}, 0, random);
+        return points;
+    });
+    ties.condition.mirrored = true;
+    cases.push_back(ties);
 }
 
 void addSparse(std::vector<StabilityCase>& cases)
@@ -257,6 +277,9 @@ void addClusters(std::vector<StabilityCase>& cases)
     cases.push_back(floatCase("clusters", "cluster-in-cloud",
                               "2000 particles in a cell of a thin cloud: jax-md #165, DeePMD-kit #5616",
                               clusterInCloud));
+    cases.push_back(floatCase("clusters", "rows-past-1024",
+                              "3000 particles that are all neighbors: cuNSearch #5, torch_cluster #128",
+                              [] { return oneTrial(3000); }));
     cases.push_back({"clusters", "rows-past-32",
                      "radius 3 h, 106 neighbors: torch_cluster #128, cuNSearch #5 cut lists", [] {
                          CasePoints points = blockPoints(16);

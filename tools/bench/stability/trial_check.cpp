@@ -100,12 +100,35 @@ void sumPairs(const FoundNeighbors& found, std::uint32_t particles, const std::v
     check.message = "listed numbers that no particle has";
 }
 
+void checkSets(const FoundNeighbors& found, const SetSearch& search, TrialCheck& check)
+{
+    const Truth truth = findTruth(search, {});
+    if (!truth.complete) throw std::logic_error("a case of --stability is too large for its whole truth");
+    const WrongPairs wrong = findWrongPairs(found, truth);
+    check.missing = wrong.missing;
+    check.extra = wrong.extra;
+    check.duplicates = wrong.duplicates;
+    if (!found.hasRows()) return;
+    std::vector<std::uint32_t> row;
+    for (const std::uint32_t query : truth.queries) {
+        found.row(query, row);
+        if (row.size() != found.count(query)) {
+            check.message = "counts differ from rows";
+            ++check.extra;
+        }
+    }
+}
+
 } // namespace
 
 TrialCheck checkFound(const FoundNeighbors& found, const CaseParticles& particles,
                       const std::vector<std::uint32_t>& order)
 {
     TrialCheck check;
+    if (particles.search) {
+        checkSets(found, *particles.search, check);
+        return check;
+    }
     const auto count = static_cast<std::uint32_t>(particles.view.size());
     if (particles.known != KnownRows::kUnknown) {
         checkKnown(found, count, particles.known, check);

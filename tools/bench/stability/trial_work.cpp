@@ -9,6 +9,7 @@
 #include "vdb_nns/search.h"
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cstring>
 #include <fstream>
@@ -95,8 +96,13 @@ std::uint64_t bytesOfGridAlone(const CaseParticles& particles)
     }
 }
 
-std::string whySkipped(const StabilityCase& stabilityCase, const MethodSpec& spec, std::size_t particles)
+std::string whySkipped(const StabilityCase& stabilityCase, const MethodSpec& spec, const CaseParticles& made)
 {
+    const std::size_t particles = made.view.size();
+    if (made.search) {
+        const std::string missing = missingSearch(spec, *made.search);
+        if (!missing.empty()) return missing;
+    }
     if (stabilityCase.condition.isForDevices() && !spec.hasBudget()) return "has no device with a budget";
     if (stabilityCase.condition.isForHostRoom() && !spec.isExact()) return "knows no bound of host memory";
     if (spec.family == "brute-force" && particles > kMostBruteForce) {
@@ -107,7 +113,10 @@ std::string whySkipped(const StabilityCase& stabilityCase, const MethodSpec& spe
 
 struct RunPlan {
     int threads = 0;
-    std::vector<std::uint32_t> order; // of the particles; empty: as they are
+    std::vector<std::uint32_t> order = {}; // of the particles; empty: as they are
+    std::array<bool, 3> negated = {};      // axes
+
+    bool isMirrored() const { return negated[0] || negated[1] || negated[2]; }
 };
 
 std::vector<RunPlan> plansOf(const RunCondition& condition, const TrialLimits& limits, std::size_t particles)
@@ -128,19 +137,25 @@ std::vector<RunPlan> plansOf(const RunCondition& condition, const TrialLimits& l
         for (std::size_t k = order.size(); k > 1; --k) std::swap(order[k - 1], order[mix64(k) % k]);
         plans.push_back({limits.threads, order});
     }
+    if (condition.mirrored) {
+        plans.push_back({limits.threads, {}, {true, false, false}});
+        plans.push_back({limits.threads, {}, {true, true, true}});
+    }
     return plans;
 }
 
-// The particles in another order, as an array of doubles.
-CaseParticles inOrder(const CaseParticles& particles, const std::vector<std::uint32_t>& order)
+// The particles in another order or mirrored, as an array of doubles.
+CaseParticles arranged(const CaseParticles& particles, const RunPlan& plan)
 {
-    if (order.empty()) return particles;
+    if (plan.order.empty() && !plan.isMirrored()) return particles;
     const auto xyz = std::make_shared<std::vector<double>>();
-    for (const std::uint32_t i : order) {
-        const Vec3d at = particles.view.worldPosition(i);
-        xyz->insert(xyz->end(), at.begin(), at.end());
+    const std::size_t count = particles.view.size();
+    for (std::size_t k = 0; k < count; ++k) {
+        const Vec3d at = particles.view.worldPosition(plan.order.empty() ? k : plan.order[k]);
+        for (std::size_t axis = 0; axis < 3; ++axis)
+            xyz->push_back(plan.negated[axis] ? -at[axis] : at[axis]);
     }
-    return {ParticleView::fromArray(xyz->data(), order.size()), particles.radius, particles.known, xyz};
+    return {ParticleView::fromArray(xyz->data(), count), particles.radius, particles.known, xyz};
 }
 
 class TrialRunner {
@@ -153,9 +168,9 @@ public:
 
     void run()
     {
-        const std::optional<CaseParticles> particles = makeAblationicles();
+        const std::optional<CaseParticles> particles = makeParticles();
         if (!particles) return;
-        const std::string skip = whySkipped(mCase, mSpec, particles->view.size());
+        const std::string skip = whySkipped(mCase, mSpec, *particles);
         if (!skip.empty()) return conclude(Verdict::kSkipped, skip);
         std::optional<std::uint64_t> firstSum;
         for (const RunPlan& plan : plansOf(mCase.condition, mLimits, particles->view.size())) {
@@ -174,7 +189,7 @@ private:
     }
 
     // Of a point grid that no view can be made of it is the engine that refuses.
-    std::optional<CaseParticles> makeAblationicles()
+    std::optional<CaseParticles> makeParticles()
     {
         try {
             return mCase.make();
@@ -190,7 +205,7 @@ private:
                  std::optional<std::uint64_t>& firstSum)
     {
         mRecord.enter(TrialPhase::kMake);
-        const CaseParticles particles = inOrder(asMade, plan.order);
+        const CaseParticles particles = arranged(asMade, plan);
         const MethodSetup setup = setupFor(particles);
         const std::unique_ptr<Method> method = runLimited(particles, setup, threads);
         if (!method) return false;
@@ -216,6 +231,7 @@ private:
 
     std::string describe(const RunPlan& plan, int threads) const
     {
+        if (plan.isMirrored()) return "the particles mirrored";
         return plan.order.empty() ? std::to_string(threads) + " threads" : "particles in another order";
     }
 
@@ -278,7 +294,9 @@ private:
         for (int k = 0;; ++k) {
             std::unique_ptr<Method> method = mMake(mSpec, setup);
             try {
-                method->run(particles.view, particles.radius, {mProgress, 0, 1});
+                const ProgressSpan span{mProgress, 0, 1};
+                particles.search ? method->runSets(*particles.search, span)
+                                 : method->run(particles.view, particles.radius, span);
                 return method;
             } catch (const CapacityError& refusal) {
                 if (mCase.condition.hostRoom != HostRoom::kAsRefused || k == kMostRefusals) throw;
