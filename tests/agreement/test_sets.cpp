@@ -195,11 +195,11 @@ struct Case {
 const std::vector<Case>& cases()
 {
     static const std::vector<Case> kCases = [] {
-    // Of the distributions under each linear map every second one, with others under the next; under a sanitizer fewer.
+    // Of the distributions under each linear map every fourth one, with others under the next; under a sanitizer fewer.
 #if defined(__SANITIZE_ADDRESS__)
         constexpr std::size_t kStep = 13;
 #else
-        constexpr std::size_t kStep = 2;
+        constexpr std::size_t kStep = 4;
 #endif
         std::size_t taken = 0;
         std::vector<Case> all;
