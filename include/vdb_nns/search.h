@@ -157,8 +157,9 @@ public:
     /// @throws as the job
     JobPlan planJob(const ParticleView& view, double radius, const JobOptions& options);
 
-    /// The same for the neighbors of queries among candidates, on the CPU: a sample of the queries is counted, tests and the bytes of
-    /// masks are exact, and there are no blocks.
+    /// The same for the neighbors of queries among candidates. Where not all particles of one view are both, or have radii
+    /// of their own, or lists are cut to the nearest, the plan is for the CPU: a sample of the queries is counted,
+    /// tests and the bytes of masks are exact, and there are no blocks.
     /// @throws as the job
     JobPlan planJob(const ParticleSet& candidates, const ParticleSet& queries, const Radius& radius,
                     const JobOptions& options);

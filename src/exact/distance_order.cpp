@@ -30,7 +30,8 @@ void DistanceOrder::order(std::uint32_t query, std::uint32_t* numbers, std::size
     for (std::size_t k = 0; k < count; ++k) numbers[k] = mRow[k].number;
 }
 
-void DistanceOrder::keepNearest(std::uint32_t query, std::vector<std::uint32_t>& numbers, std::size_t most)
+void DistanceOrder::keepNearest(std::uint32_t query, std::vector<std::uint32_t>& numbers, std::size_t most,
+                                std::uint64_t& exactPairs)
 {
     mSquares.clear();
     double error = 0; // of any square of the row
@@ -57,7 +58,6 @@ void DistanceOrder::keepNearest(std::uint32_t query, std::vector<std::uint32_t>&
     }
     const std::size_t wanted = most - sure;
     if (mDoubtful.size() > wanted) {
-        std::uint64_t exactPairs = 0;
         std::nth_element(
             mDoubtful.begin(), mDoubtful.begin() + static_cast<std::ptrdiff_t>(wanted) - 1, mDoubtful.end(),
             [&](std::uint32_t a, std::uint32_t b) { return mExact->isNearer(query, a, b, exactPairs); });

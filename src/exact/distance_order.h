@@ -18,8 +18,9 @@ public:
 
     void order(std::uint32_t query, std::uint32_t* numbers, std::size_t count);
 
-    // Leaves the nearest `most`, at least 1, of a row of more, in the order that they have.
-    void keepNearest(std::uint32_t query, std::vector<std::uint32_t>& numbers, std::size_t most);
+    // Leaves the nearest `most`, at least 1, of a row of more, in the order that they have. Adds to exactPairs as ExactTest.
+    void keepNearest(std::uint32_t query, std::vector<std::uint32_t>& numbers, std::size_t most,
+                     std::uint64_t& exactPairs);
 
 private:
     struct Neighbor {

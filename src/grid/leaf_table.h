@@ -79,8 +79,8 @@ private:
     std::vector<std::uint32_t> mCounts;
 };
 
-// Says of most leaves that touch no leaf of a grid that they do not, without a table: of a hash of the 4^3 leaves that a leaf is
-// in a bit is set if one of those may touch.
+// Turns down most leaves that touch no leaf of a grid, and none that does. Space is cut into boxes of 4^3 leaves; a bit is set for
+// the hash of each box in which a leaf may touch.
 class TouchFilter {
 public:
     // `origins`: of the grid's leaves, in cells.

@@ -3,6 +3,7 @@
 #include "grid/cell_map.h"
 #include "grid/lattice.h"
 #include "grid/lattice_choice.h"
+#include "util/progress_share.h"
 
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
@@ -10,6 +11,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <utility>
 
 namespace vdb_nns {
@@ -46,7 +48,8 @@ public:
           mOptions(options),
           mScratch(scratch),
           mSets(sets),
-          mCancel(options.progress, "grid")
+          mCancel(options.progress, "grid"),
+          mHeldBytes(queries.view.size() + candidates.view.size())
     {
     }
 
@@ -75,7 +78,8 @@ private:
     const CancelCheck mCancel;
     std::vector<Level> mLevels; // from the widest cells down
     std::vector<PlannedPart> mParts;
-    std::uint64_t mHeldBytes = 0;
+    std::uint64_t mHeldBytes; // of the grids, and of a mask of each set while they are sorted
+    int mSorted = 0;          // grids
 };
 
 void NestedSorter::countNonfiniteCandidates()
@@ -127,14 +131,19 @@ bool NestedSorter::chooseLattices(const std::vector<RadiusClass>& classes)
         lattice.radius = c.upTo(mSets.largestRadius);
         return lattice;
     };
+    std::optional<Vec3d> middle;
     std::size_t count = classes.size();
     for (; count > 1; --count) {
         if (narrowed(classes[count - 1]).cellSize < kSmallestEdge) continue;
         widest.reference = source.reference();
         if (fits(narrowed(classes[count - 1]))) break;
         if (!source.isArray()) continue;
-        const Bounds bounds = boundsOf(source, Vec3d{});
-        for (int k = 0; k < 3; ++k) widest.reference[k] = bounds.low[k] / 2 + bounds.high[k] / 2;
+        if (!middle) {
+            const Bounds bounds = boundsOf(source, Vec3d{});
+            middle.emplace();
+            for (int k = 0; k < 3; ++k) (*middle)[k] = bounds.low[k] / 2 + bounds.high[k] / 2;
+        }
+        widest.reference = *middle;
         if (fits(narrowed(classes[count - 1]))) break;
     }
     if (count < 2) return false;
@@ -152,9 +161,17 @@ Grid NestedSorter::sorted(const GridMembers& members, const Lattice& lattice)
 {
     SearchOptions options = mOptions;
     if (options.hostMemoryBytes) options.hostMemoryBytes -= std::min(options.hostMemoryBytes - 1, mHeldBytes);
+    // Queries and candidates on each lattice, at most.
+    std::optional<ProgressShare> share;
+    const double sorts = 2 * static_cast<double>(mLevels.size()) + 1;
+    if (mOptions.progress) {
+        share.emplace(*mOptions.progress, mSorted / sorts, (mSorted + 1) / sorts);
+        options.progress = &*share;
+    }
+    ++mSorted;
     const auto grid = std::make_shared<SparseGridData>();
     buildSparseGrid(members, lattice, options, mScratch, *grid);
-    mHeldBytes += grid->bytes();
+    mHeldBytes += grid->bytes() + grid->particleCount() * sizeof(float); // and the far of each radius
     return grid;
 }
 

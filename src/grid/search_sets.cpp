@@ -5,10 +5,12 @@
 #include "grid/lattice_choice.h"
 #include "grid/nested_sets.h"
 #include "util/known_value.h"
+#include "util/progress_share.h"
 #include "vdb_nns/error.h"
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <set>
 #include <string>
 #include <utility>
@@ -44,13 +46,14 @@ void checkSets(const ParticleSet& candidates, const ParticleSet& queries, const 
 class Sorter {
 public:
     Sorter(const ParticleSet& candidates, const ParticleSet& queries, const Radius& radius,
-           const SearchOptions& options, GridScratch& scratch, SearchSetsData& sets)
+           const SearchOptions& options, GridScratch& scratch, SearchSetsData& sets, std::size_t parts)
         : mCandidates(candidates),
           mQueries(queries),
           mRadius(radius),
           mOptions(options),
           mScratch(scratch),
-          mSets(sets)
+          mSets(sets),
+          mSorts(2 * static_cast<double>(parts))
     {
     }
 
@@ -85,6 +88,12 @@ private:
     {
         const std::uint64_t held = mSets.gridBytes() + otherBytes;
         if (options.hostMemoryBytes) options.hostMemoryBytes -= std::min(options.hostMemoryBytes - 1, held);
+        std::optional<ProgressShare> share;
+        if (options.progress) {
+            share.emplace(*options.progress, mSorted / mSorts, (mSorted + 1) / mSorts);
+            options.progress = &*share;
+        }
+        ++mSorted;
         const auto grid = std::make_shared<SparseGridData>();
         buildSparseGrid(members, where, options, mScratch, *grid);
         return grid;
@@ -120,6 +129,8 @@ private:
     const SearchOptions& mOptions;
     GridScratch& mScratch;
     SearchSetsData& mSets;
+    const double mSorts; // grids that are made, at most
+    int mSorted = 0;     // so far
 };
 
 } // namespace
@@ -275,10 +286,10 @@ SearchSetsData sortSets(const ParticleSet& candidates, const ParticleSet& querie
     sets.candidates = candidates.view;
     sets.candidateChosen = candidates.chosen;
     sets.radius = radius;
-    Sorter sorter(candidates, queries, radius, options, scratch, sets);
     if (radius.isOne()) {
         sets.largestRadius = radius.value;
-        sorter.addPart(queries.chosen, radius.value, true);
+        Sorter(candidates, queries, radius, options, scratch, sets, 1)
+            .addPart(queries.chosen, radius.value, true);
         return sets;
     }
     const bool ofQueries = radius.mode != RadiusMode::kScatter,
@@ -298,9 +309,11 @@ SearchSetsData sortSets(const ParticleSet& candidates, const ParticleSet& querie
         sortOnNestedLattices(candidates, queries, classes, options, scratch, sets))
         return sets;
     if (classes.size() <= 1 || ofCandidates) {
-        sorter.addPart(queries.chosen, largest > 0 ? largest : smallRadius(queries.view.source()), true);
+        Sorter(candidates, queries, radius, options, scratch, sets, 1)
+            .addPart(queries.chosen, largest > 0 ? largest : smallRadius(queries.view.source()), true);
         return sets;
     }
+    Sorter sorter(candidates, queries, radius, options, scratch, sets, classes.size());
     for (const RadiusClass& c : classes) {
         const bool isLast = &c == &classes.back();
         const ClassMembers members = membersOf(c, largest, radius.ofQueries, queries.chosen, isLast);

@@ -1,6 +1,7 @@
 // What each step of a job holds, in bytes, and what is left of the bound for it.
 #include "job/host_budget.h"
 
+#include "search/layered_rows.h"
 #include "vdb_nns/memory.h"
 #include "vdb_nns/particle_view.h"
 
@@ -12,7 +13,7 @@ namespace {
 constexpr std::uint64_t kMiB = std::uint64_t(1) << 20;
 // The dozen large arrays of a search each end inside of a huge page of 2 MiB; and the heap's own losses.
 constexpr std::uint64_t kArrayReserve = 24 * kMiB;
-// A thread's scratch, stack and heap. Scratch is 76 bytes for each particle of a leaf and its halo.
+// A thread's scratch, stack and heap. Scratch is 88 bytes for each particle of a leaf and its halo.
 constexpr std::uint64_t kThreadReserve = 4 * kMiB;
 // writeNpz(): two blocks of 2 M pairs and their ends.
 constexpr std::uint64_t kNpzWriter = 52 * kMiB;
@@ -21,6 +22,8 @@ constexpr std::uint64_t kNpzWriter = 52 * kMiB;
 constexpr std::uint64_t kLeastBuffer = 1 * kMiB, kUsualBuffer = 64 * kMiB, kLargestBuffer = 256 * kMiB;
 // OpenVDB's writer; and the counts and the attribute, for each particle.
 constexpr std::uint64_t kVdbWriter = 16 * kMiB, kVdbWriterPerPoint = 8;
+// What a thread makes of rows on several lattices before they are joined.
+constexpr std::uint64_t kLayeredBytes = LayeredRows::kMostBytes;
 // The tasks of a search, for each leaf; and for each the start of its mask rows, once more while they are ordered.
 constexpr std::uint64_t kTaskBytes = 16, kMaskTaskBytes = 32;
 // Of searchToNpz(): the tasks of a search in another order too, and their groups; a run of rows for each thread.
@@ -75,10 +78,16 @@ std::uint64_t HostBudget::writerBytes(std::uint64_t points, Encoding encoding) c
     return std::max(mWritten.npz ? npz : 0, mWritten.vdb ? kVdbWriter + kVdbWriterPerPoint * points : 0);
 }
 
+std::uint64_t HostBudget::layeredBytes(const SearchSets& sets) const
+{
+    return sets.latticeCount() > 1 ? mThreads * kLayeredBytes : 0;
+}
+
 std::uint64_t HostBudget::listBytes(const SearchSets& sets, Encoding encoding) const
 {
     const std::uint64_t points = sets.rowCount(), leaves = sets.leafCount();
-    std::uint64_t beside = kNumberBytes * points + kTaskBytes * leaves + writerBytes(points, encoding);
+    std::uint64_t beside =
+        kNumberBytes * points + kTaskBytes * leaves + writerBytes(points, encoding) + layeredBytes(sets);
     if (encoding == Encoding::kMask) {
         beside += kMaskTaskBytes * leaves + kMaskCellBytes * (sets.cellCount() + leaves);
     }
@@ -96,14 +105,15 @@ std::uint64_t HostBudget::windowBytes(const SearchSets& sets) const
 {
     const std::uint64_t points = sets.rowCount();
     return difference(mFreeBytes, sets.bytes() + (kNumberBytes + 2 * kCountBytes) * points +
-                                      kOrderedTaskBytes * sets.leafCount() + mThreads * kStagingBytes);
+                                      kOrderedTaskBytes * sets.leafCount() + mThreads * kStagingBytes +
+                                      layeredBytes(sets));
 }
 
 std::uint64_t HostBudget::bufferBytes(const SearchSets& sets) const
 {
     const std::uint64_t points = sets.rowCount();
-    const std::uint64_t held =
-        sets.bytes() + (kNumberBytes + kCountBytes + kPlaceBytes) * points + kTaskBytes * sets.leafCount();
+    const std::uint64_t held = sets.bytes() + (kNumberBytes + kCountBytes + kPlaceBytes) * points +
+                               kTaskBytes * sets.leafCount() + layeredBytes(sets);
     return std::clamp(difference(mFreeBytes, held), mThreads * kLeastBuffer,
                       mThreads * (isBounded() ? kLargestBuffer : kUsualBuffer));
 }

@@ -49,6 +49,7 @@ public:
 
 private:
     std::string explanation() const; // as the end of a sentence
+    std::uint64_t layeredBytes(const SearchSets& sets) const;
     std::uint64_t writerBytes(std::uint64_t points, Encoding encoding) const;
 
     std::uint64_t mBoundBytes, mThreads;

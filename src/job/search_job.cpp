@@ -7,6 +7,7 @@
 #include "job/host_budget.h"
 #include "search/engine_state.h"
 #include "search/sample_rows.h"
+#include "util/isolate.h"
 #include "util/sole_owner.h"
 #include "util/wall_clock.h"
 #include "vdb_nns/memory.h"
@@ -187,23 +188,25 @@ private:
         return mEngine.search(grid, mReport.plan->schedule, mReport.plan->devices, run, *mReport.run);
     }
 
-    // What devices search: all particles of one grid within one radius.
     static bool isPlain(const SearchSets& sets, const SearchOptions& search)
     {
         const SearchSetsData& data = sets.data();
-        return data.parts.size() == 1 && data.parts[0].queries == data.parts[0].own.candidates &&
-               data.radius.isOne() && search.nearest == 0 && !search.includeSelf;
+        return data.parts.size() == 1 && isPlainSearch(data, data.parts[0], search);
     }
 
+    static InvalidInput notForDevices()
+    {
+        return InvalidInput("devices search all particles within one radius: search other queries, groups, "
+                            "radii of particles and the nearest without devices");
+    }
+
+    // What devices search: all particles of one grid within one radius.
     static SparseGrid gridOf(const SearchSets& sets)
     {
         const SearchSetsData& data = sets.data();
         if (data.parts.size() != 1 || data.parts[0].queries != data.parts[0].own.candidates ||
-            !data.radius.isOne()) {
-            throw InvalidInput(
-                "devices search all particles within one radius: search other queries, groups and "
-                "radii of particles without devices");
-        }
+            !data.radius.isOne())
+            throw notForDevices();
         return SparseGrid(data.parts[0].queries);
     }
 
@@ -212,11 +215,11 @@ private:
     {
         constexpr std::size_t kSampledQueries = 1024; // of each part
         const DeviceOptions& device = mReport.settled.device;
-        if (!device.devices.empty()) gridOf(SearchSets(sets)); // says that they cannot
+        if (!device.devices.empty()) throw notForDevices();
         Plan plan;
         const double start = wallSeconds();
         mState.beginStatistics(search);
-        const SearchRuns runs(sets, search);
+        const SearchRuns runs(setsWithin(sets, search.radius), search);
         runs.forEach([&](const SearchRun& run) {
             const RowSample sample = sampleRows(run, kSampledQueries, mState.states.local());
             plan.countedQueries += sample.queries;
@@ -225,14 +228,15 @@ private:
         });
         plan.estimator = Estimator::kSampled;
         plan.total.particles = sets.finiteQueries();
-        const ListWork work = countListWork(runs);
+        const ListWork work = isolated([&] { return countListWork(runs, search.progress, "estimate"); });
         plan.total.candidateTests = work.candidateTests;
         plan.total.maskBytes = work.maskBytes;
         plan.everything.up = sets.bytes();
-        plan.everything.down =
-            search.encoding == Encoding::kMask
-                ? work.maskBytes
-                : static_cast<std::uint64_t>(plan.total.expectedPairs * sizeof(std::uint32_t));
+        if (search.encoding == Encoding::kMask) plan.everything.down = work.maskBytes;
+        if (search.encoding == Encoding::kIndex) {
+            plan.everything.down =
+                static_cast<std::uint64_t>(plan.total.expectedPairs * sizeof(std::uint32_t));
+        }
         plan.everything.down +=
             runs.rowCount() * 2 * sizeof(std::uint64_t); // slot, count and place of each row
         plan.schedule.model.encoding = search.encoding;

@@ -61,13 +61,13 @@ CapacityError listsDoNotFit(Encoding encoding, bool counted, std::uint64_t neede
         needed, allowed);
 }
 
-namespace {
-
 bool isPlainSearch(const SearchSetsData& sets, const SearchPart& part, const SearchOptions& options)
 {
     return part.queries == part.own.candidates && sets.radius.isOne() && options.nearest == 0 &&
            !options.includeSelf;
 }
+
+namespace {
 
 const RowKernels& kernelsOf(const SearchSetsData& sets, bool isPlain, const SearchOptions& options)
 {
@@ -113,9 +113,11 @@ std::vector<LayerRun> layersOf(const SearchSetsData& sets, const SearchPart& par
 
 } // namespace
 
-SearchRun::SearchRun(const SearchSetsData& sets, const SearchPart& searchPart, const SearchOptions& options)
+SearchRun::SearchRun(const SearchSetsData& searchSets, const SearchPart& searchPart,
+                     const SearchOptions& options)
     : queries(*searchPart.queries),
       candidates(*searchPart.own.candidates),
+      sets(searchSets),
       part(searchPart),
       firstRow(part.firstRow),
       context(contextOf(sets, part, part.own, options, cancel)),
@@ -128,24 +130,12 @@ SearchRun::SearchRun(const SearchSetsData& sets, const SearchPart& searchPart, c
 {
 }
 
-// A part of a search as a share of the whole.
-class SearchRuns::PartProgress final : public Progress {
-public:
-    PartProgress(Progress& whole, double from, double to) : mWhole(whole), mFrom(from), mTo(to) {}
-    void update(const char* step, double fraction) override
-    {
-        mWhole.update(step, mFrom + fraction * (mTo - mFrom));
-    }
-    bool cancelled() const override { return mWhole.cancelled(); }
-
-private:
-    Progress& mWhole;
-    double mFrom, mTo;
-};
-
-void SearchRuns::Deleter::operator()(PartProgress* progress) const
+std::uint32_t SearchRun::entriesKept(std::uint32_t slot, std::uint32_t entries) const
 {
-    delete progress;
+    const SetContext& how = context.sets;
+    if (how.nearest == 0) return entries;
+    const std::uint32_t self = how.addsSelf && sets.isCandidate(queries.number[slot]);
+    return std::min(entries - self, how.nearest) + self;
 }
 
 SearchRuns::SearchRuns(const SearchSets& sets, const SearchOptions& options) : mSets(sets)
@@ -155,17 +145,29 @@ SearchRuns::SearchRuns(const SearchSets& sets, const SearchOptions& options) : m
         throw InvalidInput("a query can stand in its own list only where queries and candidates are the same "
                            "particles: leave includeSelf out");
     }
-    const double rows = std::max(1.0, static_cast<double>(data.rowCount()));
     for (const SearchPart& part : data.parts) {
         SearchOptions ofPart = options;
         if (options.progress && data.parts.size() > 1) {
-            const double from = part.firstRow / rows;
-            const double to = from + static_cast<double>(part.queries->particleCount()) / rows;
-            mProgress.emplace_back(new PartProgress(*options.progress, from, to));
+            mProgress.push_back(std::make_unique<ProgressShare>(shareOf(part, *options.progress)));
             ofPart.progress = mProgress.back().get();
         }
         mRuns.push_back(std::make_unique<SearchRun>(data, part, ofPart));
     }
+}
+
+ProgressShare SearchRuns::shareOf(const SearchPart& part, Progress& whole) const
+{
+    const double rows = std::max(1.0, static_cast<double>(rowCount()));
+    const double from = part.firstRow / rows;
+    return {whole, from, from + static_cast<double>(part.queries->particleCount()) / rows};
+}
+
+Progress* SearchRuns::progressOf(const SearchRun& run, Progress* whole,
+                                 std::optional<ProgressShare>& share) const
+{
+    if (!whole) return nullptr;
+    share.emplace(shareOf(run.part, *whole));
+    return &*share;
 }
 
 namespace {
@@ -193,9 +195,10 @@ void SearchRun::makeRows(RowKind kind, const SearchTask& task, ThreadState& stat
     if (layers.empty()) {
         kernelOf(kernels, kind)(context, task, state.exactPredicate(), state.halo, sink, state.statistics);
     } else {
-        state.beginPlainRows(sink);
+        // Other parts of the search may stream their rows to the same memory.
+        if (kind == RowKind::kIndex) ThreadState::beginPlainRows(sink);
         state.layered.make(*this, kind, task, state, sink);
-        state.endPlainRows(sink);
+        if (kind == RowKind::kIndex) ThreadState::endPlainRows(sink);
     }
 }
 
@@ -219,12 +222,14 @@ ListWork listWork(const SearchRun& run, const SearchTask& task)
     return work;
 }
 
-ListWork countListWork(const SearchRuns& runs)
+ListWork countListWork(const SearchRuns& runs, Progress* progress, const char* step)
 {
     std::atomic<std::uint64_t> tests{0}, bytes{0};
     ThreadStates states;
     runs.forEach([&](const SearchRun& run) {
-        forEachTask(run.queries, run.candidates, run.pieces, states, run.cancel,
+        std::optional<ProgressShare> share;
+        const CancelCheck cancel(runs.progressOf(run, progress, share), step);
+        forEachTask(run.queries, run.candidates, run.pieces, states, cancel,
                     [&](ThreadState&, const SearchTask& task) {
                         const ListWork work = listWork(run, task);
                         tests += work.candidateTests;
@@ -270,13 +275,11 @@ void EngineState::checkCapacity(const SearchRuns& runs, Encoding encoding, std::
         state.sink.slotBase = 0;
         state.sink.rowCount = counts + run.firstRow;
         run.makeRows(RowKind::kCount, task, state, state.sink);
-        const SetContext& sets = run.context.sets;
         std::uint64_t pairs = state.statistics.pairs - before;
-        if (sets.nearest > 0) {
+        if (run.context.sets.nearest > 0) {
             pairs = 0;
-            const std::uint64_t most = std::uint64_t(sets.nearest) + sets.addsSelf;
             for (std::uint32_t slot = task.firstSlot; slot < task.endSlot; ++slot)
-                pairs += std::min<std::uint64_t>(state.sink.rowCount[slot], most);
+                pairs += run.entriesKept(slot, state.sink.rowCount[slot]);
         }
         return pairs * sizeof(std::uint32_t);
     };

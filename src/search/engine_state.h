@@ -12,12 +12,14 @@
 #include "search/thread_state.h"
 #include "shared/block_device.h"
 #include "util/cancel.h"
+#include "util/progress_share.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/planning/schedule.h"
 #include "vdb_nns/search.h"
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <vector>
 
 namespace vdb_nns {
@@ -26,6 +28,7 @@ namespace vdb_nns {
 struct SearchRun {
     const SparseGridData& queries;
     const SparseGridData& candidates;
+    const SearchSetsData& sets;
     const SearchPart& part;
     const std::uint32_t firstRow; // SearchPart::firstRow
     SearchContext context;        // among the candidates of SearchPart::own
@@ -36,19 +39,25 @@ struct SearchRun {
     std::vector<Piece> pieces;
 
     // `options.radius` is not read.
-    SearchRun(const SearchSetsData& sets, const SearchPart& part, const SearchOptions& options);
+    SearchRun(const SearchSetsData& searchSets, const SearchPart& searchPart, const SearchOptions& options);
     SearchRun(const SearchRun&) = delete; // the context points into it
     SearchRun& operator=(const SearchRun&) = delete;
 
     // Whether every particle is query and candidate and one radius serves all: what devices search.
     bool isPlain() const { return mIsPlain; }
 
-    // Makes the rows of a task, to `sink`. What mustn't be streamed past the caches may go there too, where a part has layers.
+    // Of a row that has so many entries, those that are left once it is cut to the nearest.
+    std::uint32_t entriesKept(std::uint32_t slot, std::uint32_t entries) const;
+
+    // Makes the rows of a task, to `sink`.
     void makeRows(RowKind kind, const SearchTask& task, ThreadState& state, RowSink& sink) const;
 
 private:
     const bool mIsPlain;
 };
+
+// Whether every particle of a part is query and candidate, one radius serves all, and rows are whole and without the query.
+bool isPlainSearch(const SearchSetsData& sets, const SearchPart& part, const SearchOptions& options);
 
 // All parts of two sets.
 class SearchRuns {
@@ -68,14 +77,14 @@ public:
         for (const std::unique_ptr<SearchRun>& run : mRuns) f(*run);
     }
 
+    // What a pass over a part tells of a step: its share of `whole`, which may be null. `share` has it as long as it is used.
+    Progress* progressOf(const SearchRun& run, Progress* whole, std::optional<ProgressShare>& share) const;
+
 private:
-    class PartProgress;
-    struct Deleter {
-        void operator()(PartProgress* progress) const;
-    };
+    ProgressShare shareOf(const SearchPart& part, Progress& whole) const;
 
     const SearchSets mSets;
-    std::vector<std::unique_ptr<PartProgress, Deleter>> mProgress; // each part's share of the whole
+    std::vector<std::unique_ptr<ProgressShare>> mProgress; // of each part, if there are several
     std::vector<std::unique_ptr<SearchRun>> mRuns;
 };
 
@@ -85,8 +94,8 @@ struct ListWork {
     std::uint64_t maskBytes = 0;      // of mask rows
 };
 ListWork listWork(const SearchRun& run, const SearchTask& task);
-// Of all tasks.
-ListWork countListWork(const SearchRuns& runs);
+// Of all tasks. `progress` is told of `step`; may be null.
+ListWork countListWork(const SearchRuns& runs, Progress* progress, const char* step);
 
 // Throws InvalidInput.
 void checkOptions(const SearchOptions& options);

@@ -13,9 +13,9 @@ namespace vdb_nns {
 
 namespace {
 
-// Of the shares of one layer, beside what two rows may take.
-constexpr std::size_t kMostShareBytes = std::size_t(16) << 20;
-constexpr std::size_t kLeastShareBytes = std::size_t(256) << 10;
+constexpr std::size_t kLeastBlockBytes = std::size_t(64) << 10;
+// At once; a task has fewer.
+constexpr std::uint32_t kMostRows = 1u << 16;
 
 // Whether a box of cells about a leaf holds any particle.
 bool hasParticles(const SparseGridData& grid, const LeafNeighborhood& neighborhood, const int (&low)[3],
@@ -43,7 +43,7 @@ bool hasParticles(const SparseGridData& grid, const LeafNeighborhood& neighborho
     return false;
 }
 
-SearchTaskFunction kernelOf(const RowKernels& kernels, RowKind kind)
+SearchTaskFunction shareKernelOf(const RowKernels& kernels, RowKind kind)
 {
     return kind == RowKind::kMask ? kernels.mask : kind == RowKind::kCount ? kernels.count : kernels.visit;
 }
@@ -71,23 +71,35 @@ bool findLayerTask(const SparseGridData& queries, const SparseGridData& candidat
 void LayeredRows::grow(RowSink& sink, std::size_t entries)
 {
     Share& share = *static_cast<Share*>(sink.owner);
-    const std::size_t bytes = entries * sizeof(std::uint32_t);
-    if (share.owner->mMayBeFull && share.bytes + bytes > kMostShareBytes) throw Full();
-    if (share.blocksUsed < share.blocks.size() && share.blocks[share.blocksUsed].bytes() < bytes)
-        share.blocks.resize(share.blocksUsed);
-    if (share.blocksUsed == share.blocks.size())
-        share.blocks.emplace_back(std::max({bytes, kLeastShareBytes, share.bytes}));
-    const PageBlock& block = share.blocks[share.blocksUsed++];
-    share.bytes += block.bytes();
-    sink.out = static_cast<std::uint32_t*>(block.data());
-    sink.end = sink.out + block.bytes() / sizeof(std::uint32_t);
+    share.owner->growShare(share, entries);
+}
+
+void LayeredRows::growShare(Share& share, std::size_t entries)
+{
+    const std::size_t bytes = entries * sizeof(std::uint32_t),
+                      left = kMostBytes - std::min(kMostBytes, mBytes);
+    if (mMayBeFull && bytes > left) throw Full();
+    const std::size_t most = std::max(bytes, left);
+    std::vector<PageBlock>& blocks = share.blocks;
+    const bool fits = share.blocksUsed < blocks.size() && blocks[share.blocksUsed].bytes() >= bytes &&
+                      blocks[share.blocksUsed].bytes() <= most;
+    if (!fits) {
+        blocks.resize(share.blocksUsed);
+        // Twice as much each time.
+        const std::size_t wanted = blocks.empty() ? kLeastBlockBytes : 2 * blocks.back().bytes();
+        blocks.emplace_back(std::min(std::max(bytes, wanted), most));
+    }
+    const PageBlock& block = blocks[share.blocksUsed++];
+    mBytes += block.bytes();
+    share.sink.out = static_cast<std::uint32_t*>(block.data());
+    share.sink.end = share.sink.out + block.bytes() / sizeof(std::uint32_t);
 }
 
 void LayeredRows::beginShare(Share& share, const SearchTask& task)
 {
     const std::size_t rows = task.endSlot - task.firstSlot;
     share.owner = this;
-    share.blocksUsed = share.bytes = 0;
+    share.blocksUsed = 0;
     share.begin.resize(rows);
     share.count.assign(rows, 0);
     share.isEmpty = false;
@@ -105,6 +117,7 @@ void LayeredRows::beginShare(Share& share, const SearchTask& task)
 void LayeredRows::makeShares(const SearchRun& run, RowKind kind, const SearchTask& task, ThreadState& state)
 {
     TaskStatistics statistics;
+    mBytes = 0;
     while (mShares.size() < run.layers.size()) mShares.push_back(std::make_unique<Share>());
     for (std::size_t k = 0; k < run.layers.size(); ++k) {
         const LayerRun& layer = run.layers[k];
@@ -117,8 +130,8 @@ void LayeredRows::makeShares(const SearchRun& run, RowKind kind, const SearchTas
             continue;
         }
         beginShare(share, task);
-        kernelOf(run.kernels, kind)(layer.context, layerTask.task, state.exactPredicate(), state.halo,
-                                    share.sink, statistics);
+        shareKernelOf(run.kernels, kind)(layer.context, layerTask.task, state.exactPredicate(), state.halo,
+                                         share.sink, statistics);
     }
     state.statistics.pairs += statistics.pairs;
     state.statistics.bandPairs += statistics.bandPairs;
@@ -170,7 +183,7 @@ void LayeredRows::keepNearest(const SearchRun& run, std::uint32_t query, ThreadS
     ++state.statistics.shortened;
     mBeforeSelf.assign(mRow.begin(), self);
     if (hasSelf) mRow.erase(self);
-    mOrder->keepNearest(query, mRow, sets.nearest);
+    mOrder->keepNearest(query, mRow, sets.nearest, state.exactPairs);
     if (!hasSelf) return;
     std::size_t place = 0; // of those before it, the kept ones are before it still
     for (const std::uint32_t number : mBeforeSelf) place += place < mRow.size() && mRow[place] == number;
@@ -221,19 +234,24 @@ void LayeredRows::make(const SearchRun& run, RowKind kind, const SearchTask& tas
                        RowSink& sink)
 {
     for (const std::unique_ptr<Share>& share : mShares) share->isEmpty = true;
-    if (run.context.sets.nearest > 0) mOrder.emplace(run.exact);
+    if (run.context.sets.nearest > 0 && mOrderedBy != &run.exact) {
+        mOrder.emplace(run.exact);
+        mOrderedBy = &run.exact;
+    }
     if (kind == RowKind::kMask) {
         sink.grow(sink, listWork(run, task).maskBytes / sizeof(std::uint32_t));
         sink.taskBegin = sink.out;
     }
-    std::uint32_t most = task.endSlot - task.firstSlot;
     for (SearchTask some = task; some.firstSlot < task.endSlot;) {
-        some.endSlot = std::min(task.endSlot, some.firstSlot + most);
-        mMayBeFull = some.endSlot - some.firstSlot > 2;
+        const std::uint32_t rows = std::min(mMostRows, task.endSlot - some.firstSlot);
+        some.endSlot = some.firstSlot + rows;
+        mMayBeFull = rows > 2;
+        const std::uint64_t exactPairs = state.exactPairs;
         try {
             makeShares(run, kind, some, state);
         } catch (const Full&) {
-            most = std::max<std::uint32_t>(2, (some.endSlot - some.firstSlot) / 2);
+            state.exactPairs = exactPairs; // they are decided again
+            mMostRows = std::max<std::uint32_t>(2, rows / 2);
             continue;
         }
         if (kind == RowKind::kCount) {
@@ -244,7 +262,9 @@ void LayeredRows::make(const SearchRun& run, RowKind kind, const SearchTask& tas
             joinNumbers(run, some, state, sink);
         }
         some.firstSlot = some.endSlot;
+        if (mBytes < kMostBytes / 4 && rows == mMostRows && rows < kMostRows) mMostRows = 2 * rows;
     }
+    if (mBytes > kMostBytes) mShares.clear(); // of a crowd
 }
 
 } // namespace vdb_nns

@@ -51,6 +51,9 @@ bool findLayerTask(const SparseGridData& queries, const SparseGridData& candidat
 // What one thread needs to make such rows.
 class LayeredRows {
 public:
+    // Of the shares of a thread, beside what two rows may take.
+    static constexpr std::size_t kMostBytes = std::size_t(4) << 20;
+
     // The rows of `task`, to `sink`; statistics are added to those of `state`. Throws what the sink's grow() throws.
     void make(const SearchRun& run, RowKind kind, const SearchTask& task, ThreadState& state, RowSink& sink);
 
@@ -60,7 +63,7 @@ private:
         RowSink sink{};
         LayeredRows* owner = nullptr;
         std::vector<PageBlock> blocks;
-        std::size_t blocksUsed = 0, bytes = 0;
+        std::size_t blocksUsed = 0;
         std::vector<std::uint32_t*> begin; // of each row; of masks the first
         std::vector<std::uint32_t> count;
         bool isEmpty = true; // no candidate in reach
@@ -69,6 +72,7 @@ private:
     struct Full {};
 
     static void grow(RowSink& sink, std::size_t entries);
+    void growShare(Share& share, std::size_t entries);
     void beginShare(Share& share, const SearchTask& task);
     void makeShares(const SearchRun& run, RowKind kind, const SearchTask& task, ThreadState& state);
     void addCounts(const SearchTask& task, RowSink& sink) const;
@@ -78,9 +82,12 @@ private:
     void keepNearest(const SearchRun& run, std::uint32_t query, ThreadState& state);
 
     std::vector<std::unique_ptr<Share>> mShares; // of the layers
+    std::size_t mBytes = 0;                      // of the blocks that the shares use
     bool mMayBeFull = false;                     // as long as fewer rows can be made at once
+    std::uint32_t mMostRows = 1u << 16;          // that are made at once
     std::vector<std::uint32_t> mRow, mBeforeSelf;
-    std::optional<DistanceOrder> mOrder; // of the run of the task
+    std::optional<DistanceOrder> mOrder;
+    const ExactTest* mOrderedBy = nullptr; // what mOrder asks
 };
 
 } // namespace vdb_nns

@@ -98,10 +98,9 @@ inline std::uint64_t maskBytes(const BlockView& queriesBlock, const BlockView& c
                                const SearchTask& task)
 {
     std::uint64_t words = 0;
-    forEachCandidateCount(queriesBlock, candidatesBlock, task,
-                          [&](std::uint64_t queries, std::uint64_t candidates) {
-                              words += queries * ((candidates + 31) / 32);
-                          });
+    forEachCandidateCount(
+        queriesBlock, candidatesBlock, task,
+        [&](std::uint64_t queries, std::uint64_t candidates) { words += queries * maskWords(candidates); });
     return words * sizeof(std::uint32_t);
 }
 

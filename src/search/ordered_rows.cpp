@@ -16,6 +16,7 @@
 #include <chrono>
 #include <condition_variable>
 #include <mutex>
+#include <optional>
 
 namespace vdb_nns {
 
@@ -447,10 +448,9 @@ std::uint64_t OrderedSearch::countPairs()
     mEngine.beginStatistics(mOptions);
     PageArray<std::uint32_t> counts; // by row
     counts.resizeDiscarding(mRuns.rowCount());
-    const CancelCheck counting(mOptions.progress, "count");
     mRuns.forEach([&](const SearchRun& run) {
-        // Each of several tells its own share.
-        const CancelCheck& cancel = mRuns.size() > 1 ? run.cancel : counting;
+        std::optional<ProgressShare> share;
+        const CancelCheck cancel(mRuns.progressOf(run, mOptions.progress, share), "count");
         forEachTask(run.queries, run.candidates, run.pieces, mEngine.states, cancel,
                     [&](ThreadState& state, const SearchTask& task) {
                         state.sink.slotBase = 0;
@@ -460,12 +460,10 @@ std::uint64_t OrderedSearch::countPairs()
     });
     if (mOptions.nearest == 0) return mEngine.sumStatistics().pairs;
     std::uint64_t pairs = 0; // of rows that are cut; a query in its own is not among the nearest
-    const SearchSetsData& sets = mRuns.sets().data();
     mRuns.forEach([&](const SearchRun& run) {
-        for (std::size_t slot = 0; slot < run.queries.particleCount(); ++slot) {
-            const std::uint32_t self = mOptions.includeSelf && sets.isCandidate(run.queries.number[slot]);
-            pairs += std::min(counts[run.firstRow + slot] - self, mOptions.nearest) + self;
-        }
+        const auto queries = static_cast<std::uint32_t>(run.queries.particleCount());
+        for (std::uint32_t slot = 0; slot < queries; ++slot)
+            pairs += run.entriesKept(slot, counts[run.firstRow + slot]);
     });
     return pairs;
 }

@@ -29,10 +29,7 @@ RowSample sampleRows(const SearchRun& run, std::size_t most, ThreadState& state)
         state.sink.rowCount = &count;
         run.makeRows(RowKind::kCount, {piece->leaf, slot, slot + 1, neighborhood.leaf, cells}, state,
                      state.sink);
-        const SetContext& sets = run.context.sets;
-        const std::uint64_t kept = std::uint64_t(sets.nearest) + sets.addsSelf;
-        sample.entries +=
-            static_cast<double>(sets.nearest > 0 ? std::min<std::uint64_t>(count, kept) : count);
+        sample.entries += run.entriesKept(slot, count);
     }
     return sample;
 }

@@ -228,7 +228,8 @@ void SearchEngine::visitRows(const SearchSets& sets, const RowVisitor& visitor, 
 
 std::uint64_t countCandidateTests(const SearchSets& sets)
 {
-    return isolated([&] { return countListWork(SearchRuns(sets, SearchOptions())).candidateTests; });
+    return isolated(
+        [&] { return countListWork(SearchRuns(sets, SearchOptions()), nullptr, "count").candidateTests; });
 }
 
 NeighborLists SearchEngine::findNeighbors(const ParticleView& view, double radius,

@@ -339,6 +339,7 @@ class Queries(CliCase):
             for key in ("lattices", "leaves", "cells", "cell_size"):
                 self.assertEqual(planned["grid"][key], found["grid"][key])
             self.assertEqual(planned["plan"]["blocks_list"], [])
-        self.fails(2, "plan", self.input, *radii, "--device", "sim", says="devices search all particles within one radius")
+        for flags in (radii, ("-r", "1", "--nearest", "3")):
+            self.fails(2, "plan", self.input, *flags, "--device", "sim", says="devices search all points within one radius")
         self.fails(2, "plan", self.input, *radii, "--svg", self.path("plan.svg"), says="--svg draws blocks")
         self.fails(2, "plan", self.input, "-r", "1", "--nearest", "3", "--encoding", "mask", says="masks hold whole lists")

@@ -163,7 +163,7 @@ int runPlanCommand(const PlanFlags& flags, Session& session)
     QueryPlan query;
     options.search = checkFlags(flags, query);
     ThreadLimit threads(wanted);
-    options.device = deviceOptions(flags.device, plannedThreads());
+    options.device = deviceOptions(deviceFor(flags.device, query), plannedThreads());
     return threads.run([&] { return planFile(flags, query, options, threads.count(), session); });
 }
 

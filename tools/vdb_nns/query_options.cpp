@@ -224,6 +224,19 @@ QueryPlan checkQueryFlags(const QueryFlags& flags, const InputFlags& input)
     return plan;
 }
 
+DeviceFlags deviceFor(const DeviceFlags& given, const QueryPlan& plan)
+{
+    DeviceFlags device = given;
+    if (plan.isForDevices()) return device;
+    if (device.device != "auto" && device.device != "cpu") {
+        throw InvalidInput("--device " + device.device +
+                           ": devices search all points within one radius; queries, groups, radii of points, "
+                           "--nearest and --include-self run on the CPU: use --device cpu");
+    }
+    device.device = "cpu";
+    return device;
+}
+
 std::vector<std::string> queryFiles(const QueryFlags& flags)
 {
     std::vector<std::string> files;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "cli_options.h"
+#include "device_options.h"
 #include "vdb_nns/particle_set.h"
 #include "vdb_nns/point_file.h"
 
@@ -30,7 +31,8 @@ struct QueryPlan {
     std::uint32_t nearest = 0; ///< 0: all
     bool byDistance = false, includeSelf = false;
 
-    bool isPlain() const { return !hasRoles && !hasRadii && nearest == 0 && !byDistance && !includeSelf; }
+    bool isForDevices() const { return !hasRoles && !hasRadii && nearest == 0 && !includeSelf; }
+    bool isPlain() const { return isForDevices() && !byDistance; }
     bool readsQueryRadii() const { return hasRadii && mode != RadiusMode::kScatter; }
     bool readsCandidateRadii() const { return hasRadii && mode != RadiusMode::kGather; }
 };
@@ -38,6 +40,10 @@ struct QueryPlan {
 /// Checks the flags, alone and together, without a look at a file.
 /// @throws InvalidInput
 QueryPlan checkQueryFlags(const QueryFlags& flags, const InputFlags& input);
+
+/// The flags about devices for such a search: where devices do not run it, auto is the CPU.
+/// @throws InvalidInput where they demand a device then
+DeviceFlags deviceFor(const DeviceFlags& given, const QueryPlan& plan);
 
 /// Files that the flags name, for checkOutputs().
 std::vector<std::string> queryFiles(const QueryFlags& flags);

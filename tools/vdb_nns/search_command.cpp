@@ -348,18 +348,7 @@ int runSearchCommand(const SearchFlags& flags, Session& session)
 {
     SearchPlan plan = checkFlags(flags);
     ThreadLimit threads(plan.threads);
-    DeviceFlags device = flags.device;
-    const bool isForDevices =
-        !plan.query.hasRoles && !plan.query.hasRadii && plan.query.nearest == 0 && !plan.query.includeSelf;
-    if (!isForDevices) {
-        if (device.device != "auto" && device.device != "cpu") {
-            throw InvalidInput(
-                "--device " + device.device +
-                ": devices search all points within one radius; queries, groups, radii of points, "
-                "--nearest and --include-self run on the CPU: use --device cpu");
-        }
-        device.device = "cpu";
-    }
+    const DeviceFlags device = deviceFor(flags.device, plan.query);
     plan.job.device = deviceOptions(device, threads.count());
     return threads.run([&] { return searchFile(flags, plan, threads.count(), session); });
 }
