@@ -1,7 +1,7 @@
 // From one point file to another: what comes along is chosen before it is read.
-#include "io/nearest_name.h"
-#include "io/shown_text.h"
 #include "io/value_names.h"
+#include "util/nearest_name.h"
+#include "util/shown_text.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/write_points.h"
 

@@ -1,7 +1,7 @@
 #include "io/group_list.h"
 
-#include "io/nearest_name.h"
-#include "io/shown_text.h"
+#include "util/nearest_name.h"
+#include "util/shown_text.h"
 #include "vdb_nns/error.h"
 
 #include <algorithm>

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "io/array_readers.h"
-#include "io/shown_text.h"
+#include "util/shown_text.h"
 #include "vdb_nns/error.h"
 
 #include <charconv>

@@ -1,7 +1,7 @@
 // The .npz reader: a ZIP of .npy files (PKWARE's APPNOTE.TXT 6.3: 4.3.7 local header, 4.3.12 directory, 4.3.14 to 4.3.16 its
 // end, 4.5.3 ZIP64).
 #include "io/array_readers.h"
-#include "io/shown_text.h"
+#include "util/shown_text.h"
 #include "vdb_nns/error.h"
 
 #include <algorithm>

@@ -1,7 +1,7 @@
 // The types of numbers that files declare: their sizes, and their values from raw bytes and from text.
 #pragma once
 
-#include "io/shown_text.h"
+#include "util/shown_text.h"
 
 #include <charconv>
 #include <cstddef>

@@ -1,9 +1,9 @@
 // The .ply reader. A header names elements and their properties; the rows follow as text (ply_text.cpp) or as
 // packed binary values (ply_binary.cpp).
 #include "io/fixed_rows.h"
-#include "io/nearest_name.h"
 #include "io/ply_body.h"
-#include "io/shown_text.h"
+#include "util/nearest_name.h"
+#include "util/shown_text.h"
 
 #include <algorithm>
 #include <iterator>

@@ -1,8 +1,8 @@
 // The reader of text: rows of numbers, cut at line ends into chunks that are read in parallel. What the head says is found by
 // text_shape.h. All rows have as many fields as the first one; only those of the three columns must be numbers.
-#include "io/shown_text.h"
 #include "io/text_rows.h"
 #include "io/text_shape.h"
+#include "util/shown_text.h"
 #include "vdb_nns/error.h"
 
 #include <oneapi/tbb/parallel_for.h>

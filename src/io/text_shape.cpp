@@ -8,8 +8,8 @@
 // Blank lines and those that begin with # are left out, but for the comment of chemistry's .xyz.
 #include "io/text_shape.h"
 
-#include "io/shown_text.h"
 #include "io/text_rows.h"
+#include "util/shown_text.h"
 #include "vdb_nns/error.h"
 
 #include <algorithm>

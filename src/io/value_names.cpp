@@ -1,6 +1,6 @@
 #include "io/value_names.h"
 
-#include "io/shown_text.h"
+#include "util/shown_text.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/write_points.h"
 

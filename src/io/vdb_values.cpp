@@ -1,11 +1,11 @@
 // What the points of a .vdb have beside their positions, read from the file that is opened again.
 #include "io/group_list.h"
-#include "io/nearest_name.h"
-#include "io/shown_text.h"
 #include "io/vdb/point_reader.h"
 #include "io/vdb_file.h"
 #include "io/vdb_layout.h"
 #include "points/particle_source.h"
+#include "util/nearest_name.h"
+#include "util/shown_text.h"
 #include "vdb_nns/error.h"
 
 #include <algorithm>

@@ -8,7 +8,7 @@
 //     at the end position: the next grid
 // A stream has zeros as positions: a grid follows its entry.
 #include "io/vdb/archive.h"
-#include "io/shown_text.h"
+#include "util/shown_text.h"
 
 #include "io/vdb/cursor.h"
 #include "io/vdb/grid_header.h"

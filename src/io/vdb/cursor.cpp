@@ -1,6 +1,6 @@
 #include "io/vdb/cursor.h"
 
-#include "io/shown_text.h"
+#include "util/shown_text.h"
 #include "vdb_nns/error.h"
 
 #include <algorithm>

@@ -1,5 +1,5 @@
 #include "io/vdb/point_reader.h"
-#include "io/shown_text.h"
+#include "util/shown_text.h"
 
 #include "io/vdb/decompress.h"
 #include "points/occupied_voxels.h"

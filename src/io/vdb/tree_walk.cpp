@@ -10,7 +10,7 @@
 //           those of the value mask, as one block
 //   block: as it is; or, with Zip or Blosc, its size (8) and bytes; the size is negative where they are not compressed
 #include "io/vdb/tree_walk.h"
-#include "io/shown_text.h"
+#include "util/shown_text.h"
 
 #include "io/vdb/archive.h"
 #include "vdb_nns/error.h"

@@ -1,6 +1,6 @@
-#include "io/nearest_name.h"
+#include "util/nearest_name.h"
 
-#include "io/shown_text.h"
+#include "util/shown_text.h"
 
 #include <algorithm>
 #include <cstddef>

@@ -1,4 +1,4 @@
-#include "io/shown_text.h"
+#include "util/shown_text.h"
 
 namespace vdb_nns {
 
