@@ -11,6 +11,7 @@
 
 #include <functional>
 #include <memory>
+#include <string>
 #include <vector>
 
 namespace vdb_nns {
@@ -22,6 +23,8 @@ struct ScheduleRun;
 struct JobOptions; // search_job.h
 struct JobReport;
 struct JobPlan;
+struct MeasureOptions; // measure.h
+struct Measured;
 
 /// Called once for every query that is finite and near any candidate, with its number, its neighbors and their
 /// world distances (of two views with one transform as ParticleView::distance()), in cell-visiting order. Called from several threads at once; the spans are valid
@@ -130,6 +133,16 @@ public:
     /// The same without distances.
     /// @throws as visit() does
     void visitRows(const SearchSets& sets, const RowVisitor& visitor, const SearchOptions& options = {});
+
+    /// Makes measures of each query's neighbors: see measure.h. All share one pass over the neighbors, but `nearest`, which takes
+    /// another one, and DBSCAN, which counts neighbors first.
+    /// Cost: that of counting, and for each pair a few nanoseconds. Memory: 16 bytes a particle (32 of arrays of doubles), the
+    /// results, and 8 bytes a number of each attribute that is averaged.
+    /// @throws InvalidInput for a bad name or option, an attribute that is not among the options, a wrong number of values,
+    ///         clusters where not every particle is both query and candidate or lists are cut to the nearest; CapacityError,
+    ///         Cancelled
+    Measured measure(const SearchSets& sets, const std::vector<std::string>& measures,
+                     const MeasureOptions& options);
 
     /// buildGrid(), then search().
     NeighborLists findNeighbors(const ParticleView& view, double radius, const SearchOptions& options = {});
