@@ -5,6 +5,7 @@
 #include "cpu/expect_cells-inl.h"
 #include "cpu/kernels.h"
 #include "cpu/locate_axis-inl.h"
+#include "cpu/measure_rows-inl.h"
 #include "cpu/sample_cubes-inl.h"
 #include "cpu/search_sets-inl.h"
 #include "cpu/search_task-inl.h"
@@ -30,7 +31,8 @@ constexpr Kernels kKernelTable = {{searchTask<IndexRows<StreamedRows>>, searchTa
                                   locateAxis,
                                   sampleCubes,
                                   expectCells,
-                                  sortRow};
+                                  sortRow,
+                                  kMeasureKernels};
 
 } // namespace
 } // namespace vdb_nns

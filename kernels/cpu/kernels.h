@@ -2,6 +2,7 @@
 // among them.
 #pragma once
 
+#include "cpu/measure_rows.h"
 #include "vdb_nns/search_options.h"
 
 #include <cstddef>
@@ -72,6 +73,7 @@ struct Kernels {
     SampleCubesFunction sampleCubes;
     ExpectCellsFunction expectCells;
     SortRowFunction sortRow;
+    MeasureKernels measure;
 };
 
 extern const Kernels kKernelsScalar, kKernelsSse4, kKernelsAvx2, kKernelsAvx512;

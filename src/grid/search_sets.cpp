@@ -284,6 +284,7 @@ SearchSetsData sortSets(const ParticleSet& candidates, const ParticleSet& querie
     SearchSetsData sets;
     sets.queries = queries.view;
     sets.candidates = candidates.view;
+    sets.queryChosen = queries.chosen;
     sets.candidateChosen = candidates.chosen;
     sets.radius = radius;
     if (radius.isOne()) {

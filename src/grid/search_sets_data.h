@@ -57,8 +57,8 @@ struct SearchPart {
 
 struct SearchSetsData {
     ParticleView queries, candidates;
-    Span<const std::uint8_t>
-        candidateChosen; // as ParticleSet::chosen; it and the spans of `radius` belong to the caller
+    // As ParticleSet::chosen; these and the spans of `radius` belong to the caller.
+    Span<const std::uint8_t> queryChosen, candidateChosen;
     Radius radius;
     double largestRadius = 0;      // of those that reach somebody
     std::vector<SearchPart> parts; // those with the widest cells first; one at least

@@ -23,6 +23,7 @@ public:
           mStrideBytes(strideBytes)
     {
         mSize = count;
+        mHasFloats = sizeof(Real) == sizeof(float);
     }
 
     StoredPosition stored(std::size_t i) const override

@@ -56,6 +56,26 @@ public:
         }
     }
 
+    void readStored(std::size_t begin, std::size_t count, StoredPosition* out) const override
+    {
+        if (count == 0) return;
+        std::size_t leaf = leafOf(mPoints.starts, begin);
+        const float* p = mPoints.positions.data() + 3 * begin;
+        for (std::size_t done = 0; done < count; ++leaf) {
+            const Vec3i& origin = mPoints.leaves[leaf];
+            const std::uint16_t* const voxels = mPoints.voxels.data() + begin;
+            const std::size_t end =
+                std::min(count, static_cast<std::size_t>(mPoints.starts[leaf + 1]) - begin);
+            for (; done < end; ++done, p += 3) {
+                const int voxel = voxels[done];
+                out[done] = {{std::int64_t(origin[0]) + (voxel >> 6),
+                              std::int64_t(origin[1]) + (voxel >> 3 & 7),
+                              std::int64_t(origin[2]) + (voxel & 7)},
+                             {p[0], p[1], p[2]}};
+            }
+        }
+    }
+
     std::size_t fileLeafCount() const override { return mPoints.leaves.size(); }
 
     FileLeaf fileLeaf(std::size_t i) const override

@@ -26,8 +26,6 @@ Vec3d worldOffset(const ParticleSource& sourceA, const Vec3d& a, const ParticleS
     return offset;
 }
 
-namespace {
-
 Vec3d worldOf(const ParticleSource& source, const StoredPosition& p)
 {
     if (source.isArray()) return {p.offset[0], p.offset[1], p.offset[2]};
@@ -41,8 +39,6 @@ Vec3d worldOf(const ParticleSource& source, const StoredPosition& p)
     }
     return world;
 }
-
-} // namespace
 
 double PairDistance::ofTwo(std::size_t query, std::size_t candidate) const
 {

@@ -17,6 +17,9 @@ bool haveSameCoordinates(const ParticleSource& a, const ParticleSource& b);
 Vec3d worldOffset(const ParticleSource& sourceA, const Vec3d& a, const ParticleSource& sourceB,
                   const Vec3d& b);
 
+// M p + t of a stored position, ((m0 p0 + m1 p1) + m2 p2) + t in double; of an array the position.
+Vec3d worldOf(const ParticleSource& source, const StoredPosition& p);
+
 // World distances between particles of two views, by one fixed sequence of IEEE double operations: for one transform that
 // of ParticleView::distance(); else each position M p + t, ((m0 p0 + m1 p1) + m2 p2) + t, their difference, and
 // sqrt((x x + y y) + z z).

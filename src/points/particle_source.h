@@ -28,12 +28,21 @@ public:
     // True for arrays: linear() is the identity and voxels are 0.
     bool isArray() const { return mIsArray; }
 
+    // Whether each offset is a float.
+    bool hasFloats() const { return mHasFloats; }
+
     // A point in stored coordinates near the particles, found without a pass over them: the middle of the leaves of a
     // grid (integers), 0 for arrays.
     const Vec3d& reference() const { return mReference; }
 
     // Exact position of particle i. Thread-safe; a few ns for arrays, tens of ns for grids.
     virtual StoredPosition stored(std::size_t i) const = 0;
+
+    // Of particles [begin, begin + count), faster than one by one. Thread-safe.
+    virtual void readStored(std::size_t begin, std::size_t count, StoredPosition* out) const
+    {
+        for (std::size_t i = 0; i < count; ++i) out[i] = stored(begin + i);
+    }
 
     // Stored coordinates of particles [begin, begin + count) less `reference`, each rounded to double at most once
     // after an exact integer difference: |error| <= 2^-53 |result|. Grids need an integer reference.
@@ -54,6 +63,7 @@ protected:
     Vec3d mTranslation{};
     Vec3d mReference{};
     bool mIsArray = true;
+    bool mHasFloats = true;
 };
 
 } // namespace vdb_nns

@@ -5,6 +5,7 @@
 #include "grid/lattice_choice.h"
 #include "points/pair_geometry.h"
 #include "search/engine_state.h"
+#include "search/visit_tasks.h"
 #include "util/isolate.h"
 #include "util/known_value.h"
 #include "util/sole_owner.h"
@@ -182,10 +183,10 @@ private:
     const RowVisitor& mVisitor;
 };
 
-// Runs all tasks; makeCallback(run, state) is what takes the rows of a task.
+// Runs all tasks; see visit_tasks.h.
 template <typename MakeCallback>
-void visitTasks(EngineState& engine, const SearchSets& sets, const SearchOptions& given,
-                MakeCallback&& makeCallback)
+void visitAll(EngineState& engine, const SearchSets& sets, const SearchOptions& given,
+              MakeCallback&& makeCallback)
 {
     SearchOptions options = given;
     if (options.encoding == Encoding::kMask) options.encoding = Encoding::kIndex; // has no meaning here
@@ -194,18 +195,7 @@ void visitTasks(EngineState& engine, const SearchSets& sets, const SearchOptions
         const double start = wallSeconds();
         const SearchRuns runs(setsWithin(sets, options.radius), options);
         engine.beginStatistics(options);
-        runs.forEach([&](const SearchRun& run) {
-            forEachTask(run.queries, run.candidates, run.pieces, engine.states, run.cancel,
-                        [&](ThreadState& state, const SearchTask& task) {
-                            auto callback = makeCallback(run, state);
-                            state.beginCallbacks(callback, task);
-                            // Once a task, for the kernel calls the visitor too.
-                            isolated([&] {
-                                run.makeRows(RowKind::kVisit, task, state, state.visited);
-                                state.flushRows();
-                            });
-                        });
-        });
+        runs.forEach([&](const SearchRun& run) { visitTasks(engine, run, makeCallback); });
         engine.sumStatistics();
         engine.statistics.searchSeconds = wallSeconds() - start;
     });
@@ -215,15 +205,15 @@ void visitTasks(EngineState& engine, const SearchSets& sets, const SearchOptions
 
 void SearchEngine::visit(const SearchSets& sets, const NeighborVisitor& visitor, const SearchOptions& options)
 {
-    visitTasks(*mImpl, sets, options, [&](const SearchRun& run, ThreadState& state) {
+    visitAll(*mImpl, sets, options, [&](const SearchRun& run, ThreadState& state) {
         return DistanceCallback(run, visitor, state.distances);
     });
 }
 
 void SearchEngine::visitRows(const SearchSets& sets, const RowVisitor& visitor, const SearchOptions& options)
 {
-    visitTasks(*mImpl, sets, options,
-               [&](const SearchRun& run, ThreadState&) { return NumberCallback(run.queries, visitor); });
+    visitAll(*mImpl, sets, options,
+             [&](const SearchRun& run, ThreadState&) { return NumberCallback(run.queries, visitor); });
 }
 
 std::uint64_t countCandidateTests(const SearchSets& sets)

@@ -30,7 +30,7 @@ forbid("std::(abort|exit|terminate) *\\(|[^a-z_]exit *\\(|std::c(out|err)|[^a-zA
     "the library never prints and never exits" ${source})
 
 # The folders of src in the order of the data. None includes one that stands after it.
-set(order util points grid exact lists search plan out_of_core io scene job)
+set(order util points grid exact lists search measure plan out_of_core io scene job)
 file(GLOB folders RELATIVE "${SOURCE_DIR}/src" "${SOURCE_DIR}/src/*")
 list(FILTER folders EXCLUDE REGEX "\\.(md|txt)$")
 list(REMOVE_ITEM folders ${order})

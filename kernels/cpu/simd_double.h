@@ -1,0 +1,130 @@
+// Vectors of doubles for each instruction set: SimdD. Included by the search_*.cpp files only, each compiled with its own flags:
+// everything has internal linkage. All lanes do the same IEEE operations, so that results do not depend on their number.
+//
+// where(m, a, b) takes a in the lanes of m. Integers: added bit patterns of doubles, modulo 2^64.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+
+#if defined(__SSE4_1__)
+#include <immintrin.h>
+#endif
+
+namespace vdb_nns {
+namespace {
+
+#if defined(VDB_NNS_SIMD_AVX512)
+
+struct SimdD {
+    using D = __m512d;
+    using I = __m512i;
+    using M = __mmask8;
+    static constexpr int kLanes = 8;
+    static D load(const double* p) { return _mm512_loadu_pd(p); }
+    static void store(double* p, D v) { _mm512_storeu_pd(p, v); }
+    static D set(double v) { return _mm512_set1_pd(v); }
+    static D add(D a, D b) { return _mm512_add_pd(a, b); }
+    static D sub(D a, D b) { return _mm512_sub_pd(a, b); }
+    static D mul(D a, D b) { return _mm512_mul_pd(a, b); }
+    static D div(D a, D b) { return _mm512_div_pd(a, b); }
+    static D sqrt(D a) { return _mm512_sqrt_pd(a); }
+    static D min(D a, D b) { return _mm512_min_pd(a, b); }
+    static D max(D a, D b) { return _mm512_max_pd(a, b); }
+    static D abs(D a) { return _mm512_abs_pd(a); }
+    static M less(D a, D b) { return _mm512_cmp_pd_mask(a, b, _CMP_LT_OQ); }
+    static M equal(D a, D b) { return _mm512_cmp_pd_mask(a, b, _CMP_EQ_OQ); }
+    static D where(M m, D a, D b) { return _mm512_mask_blend_pd(m, b, a); }
+    static I zero() { return _mm512_setzero_si512(); }
+    static I addBits(I sum, D v) { return _mm512_add_epi64(sum, _mm512_castpd_si512(v)); }
+    static void storeBits(std::uint64_t* p, I v) { _mm512_storeu_si512(p, v); }
+};
+
+#elif defined(VDB_NNS_SIMD_AVX2)
+
+struct SimdD {
+    using D = __m256d;
+    using I = __m256i;
+    using M = __m256d;
+    static constexpr int kLanes = 4;
+    static D load(const double* p) { return _mm256_loadu_pd(p); }
+    static void store(double* p, D v) { _mm256_storeu_pd(p, v); }
+    static D set(double v) { return _mm256_set1_pd(v); }
+    static D add(D a, D b) { return _mm256_add_pd(a, b); }
+    static D sub(D a, D b) { return _mm256_sub_pd(a, b); }
+    static D mul(D a, D b) { return _mm256_mul_pd(a, b); }
+    static D div(D a, D b) { return _mm256_div_pd(a, b); }
+    static D sqrt(D a) { return _mm256_sqrt_pd(a); }
+    static D min(D a, D b) { return _mm256_min_pd(a, b); }
+    static D max(D a, D b) { return _mm256_max_pd(a, b); }
+    static D abs(D a) { return _mm256_andnot_pd(_mm256_set1_pd(-0.0), a); }
+    static M less(D a, D b) { return _mm256_cmp_pd(a, b, _CMP_LT_OQ); }
+    static M equal(D a, D b) { return _mm256_cmp_pd(a, b, _CMP_EQ_OQ); }
+    static D where(M m, D a, D b) { return _mm256_blendv_pd(b, a, m); }
+    static I zero() { return _mm256_setzero_si256(); }
+    static I addBits(I sum, D v) { return _mm256_add_epi64(sum, _mm256_castpd_si256(v)); }
+    static void storeBits(std::uint64_t* p, I v) { _mm256_storeu_si256(reinterpret_cast<__m256i*>(p), v); }
+};
+
+#elif defined(VDB_NNS_SIMD_SSE4)
+
+struct SimdD {
+    using D = __m128d;
+    using I = __m128i;
+    using M = __m128d;
+    static constexpr int kLanes = 2;
+    static D load(const double* p) { return _mm_loadu_pd(p); }
+    static void store(double* p, D v) { _mm_storeu_pd(p, v); }
+    static D set(double v) { return _mm_set1_pd(v); }
+    static D add(D a, D b) { return _mm_add_pd(a, b); }
+    static D sub(D a, D b) { return _mm_sub_pd(a, b); }
+    static D mul(D a, D b) { return _mm_mul_pd(a, b); }
+    static D div(D a, D b) { return _mm_div_pd(a, b); }
+    static D sqrt(D a) { return _mm_sqrt_pd(a); }
+    static D min(D a, D b) { return _mm_min_pd(a, b); }
+    static D max(D a, D b) { return _mm_max_pd(a, b); }
+    static D abs(D a) { return _mm_andnot_pd(_mm_set1_pd(-0.0), a); }
+    static M less(D a, D b) { return _mm_cmplt_pd(a, b); }
+    static M equal(D a, D b) { return _mm_cmpeq_pd(a, b); }
+    static D where(M m, D a, D b) { return _mm_blendv_pd(b, a, m); }
+    static I zero() { return _mm_setzero_si128(); }
+    static I addBits(I sum, D v) { return _mm_add_epi64(sum, _mm_castpd_si128(v)); }
+    static void storeBits(std::uint64_t* p, I v) { _mm_storeu_si128(reinterpret_cast<__m128i*>(p), v); }
+};
+
+#else
+
+struct SimdD {
+    using D = double;
+    using I = std::uint64_t;
+    using M = bool;
+    static constexpr int kLanes = 1;
+    static D load(const double* p) { return *p; }
+    static void store(double* p, D v) { *p = v; }
+    static D set(double v) { return v; }
+    static D add(D a, D b) { return a + b; }
+    static D sub(D a, D b) { return a - b; }
+    static D mul(D a, D b) { return a * b; }
+    static D div(D a, D b) { return a / b; }
+    static D sqrt(D a) { return __builtin_sqrt(a); }
+    static D min(D a, D b) { return a < b ? a : b; }
+    static D max(D a, D b) { return a > b ? a : b; }
+    static D abs(D a) { return __builtin_fabs(a); }
+    static M less(D a, D b) { return a < b; }
+    static M equal(D a, D b) { return a == b; }
+    static D where(M m, D a, D b) { return m ? a : b; }
+    static I zero() { return 0; }
+    static I addBits(I sum, D v)
+    {
+        std::uint64_t bits;
+        std::memcpy(&bits, &v, sizeof bits);
+        return sum + bits;
+    }
+    static void storeBits(std::uint64_t* p, I v) { *p = v; }
+};
+
+#endif
+
+} // namespace
+} // namespace vdb_nns

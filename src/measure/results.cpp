@@ -1,0 +1,165 @@
+#include "measure/results.h"
+
+#include "util/memory.h"
+#include "util/nearest_name.h"
+#include "util/shown_text.h"
+#include "vdb_nns/error.h"
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <limits>
+
+namespace vdb_nns {
+
+namespace {
+
+template <typename T>
+void fill(T* values, std::uint64_t count, T value)
+{
+    tbb::parallel_for(tbb::blocked_range<std::uint64_t>(0, count, 65536), [&](const auto& range) {
+        std::fill(values + range.begin(), values + range.end(), value);
+    });
+}
+
+// Zeros, for pages are until they are touched.
+std::shared_ptr<void> zeros(std::uint64_t bytes)
+{
+    const auto block =
+        std::make_shared<PageBlock>(static_cast<std::size_t>(std::max<std::uint64_t>(bytes, 1)));
+    return {block, block->data()};
+}
+
+std::size_t attributeNamed(const std::string& name, const MeasureOptions& options)
+{
+    std::vector<std::string> names;
+    for (const PointAttribute& attribute : options.attributes) {
+        if (attribute.name == name) return names.size();
+        names.push_back(attribute.name);
+    }
+    throw InvalidInput("average:" + shownText(name) + ": the candidates have no such attribute" +
+                       insteadText(name, names, "attributes"));
+}
+
+} // namespace
+
+MeasureResults::MeasureResults(const std::vector<Measure>& measures, const MeasureOptions& options,
+                               std::uint64_t queries, std::uint64_t candidates)
+    : mQueries(queries)
+{
+    mTargets.areWide = candidates > std::uint64_t(std::numeric_limits<std::int32_t>::max());
+    for (const Measure& measure : measures) addOne(measure, options);
+}
+
+void* MeasureResults::add(const std::string& name, AttributeType type)
+{
+    const std::shared_ptr<void> values = zeros(mQueries * attributeBytes(type));
+    mValues.attributes.push_back({name, type, mQueries, values});
+    return values.get();
+}
+
+std::uint8_t* MeasureResults::addGroup(const std::string& name)
+{
+    const std::shared_ptr<void> bytes = zeros(mQueries);
+    const std::shared_ptr<std::uint8_t> members(bytes, static_cast<std::uint8_t*>(bytes.get()));
+    mValues.groups.push_back({name, mQueries, members});
+    return members.get();
+}
+
+void MeasureResults::addOne(const Measure& measure, const MeasureOptions& options)
+{
+    const std::string name = resultName(measure, options.prefix);
+    const auto addFloats = [&](AttributeType type = AttributeType::kFloat) {
+        return static_cast<float*>(add(name, type));
+    };
+    const auto addIntegers = [&] {
+        return add(name, mTargets.areWide ? AttributeType::kInt64 : AttributeType::kInt32);
+    };
+    const auto fillIntegers = [&](void* out, std::int64_t value) {
+        if (mTargets.areWide) {
+            fill(static_cast<std::int64_t*>(out), mQueries, value);
+        } else {
+            fill(static_cast<std::int32_t*>(out), mQueries, static_cast<std::int32_t>(value));
+        }
+    };
+    switch (measure.kind) {
+    case MeasureKind::kCount:
+        mTargets.count = static_cast<std::int32_t*>(add(name, AttributeType::kInt32));
+        break;
+    case MeasureKind::kDensity:
+        mTargets.density = addFloats();
+        break;
+    case MeasureKind::kMeanDistance:
+        fill(mTargets.meanDistance = addFloats(), mQueries, -1.0f);
+        break;
+    case MeasureKind::kNearestDistance:
+        fill(mTargets.nearestDistance = addFloats(), mQueries, -1.0f);
+        break;
+    case MeasureKind::kNearest:
+        fillIntegers(mTargets.nearest = addIntegers(), -1);
+        break;
+    case MeasureKind::kAverage: {
+        const std::size_t attribute = attributeNamed(measure.attribute, options);
+        const AttributeType type = averageType(options.attributes[attribute]);
+        mTargets.averages.push_back({attribute, type, add(name, type)});
+        break;
+    }
+    case MeasureKind::kNormal:
+        mTargets.normal = addFloats(AttributeType::kVec3s);
+        break;
+    case MeasureKind::kEigenvalues:
+        mTargets.eigenvalues = addFloats(AttributeType::kVec3s);
+        break;
+    case MeasureKind::kPca:
+        fill(mTargets.stretch = addFloats(AttributeType::kVec3s), 3 * mQueries,
+             static_cast<float>(options.pca.stretch));
+        mTargets.xform = static_cast<float*>(add("xform", AttributeType::kMat3s));
+        mTargets.pws = static_cast<double*>(add("pws", AttributeType::kVec3d));
+        mTargets.ellipsoids = addGroup("ellipsoids");
+        break;
+    case MeasureKind::kCluster:
+        fillIntegers(mTargets.cluster = addIntegers(), -1);
+        break;
+    case MeasureKind::kClusterSize:
+        mTargets.clusterSize = addIntegers();
+        break;
+    case MeasureKind::kIsolated:
+        mTargets.isolated = addGroup(name);
+        break;
+    case MeasureKind::kNonfinite:
+        mTargets.nonfinite = addGroup(name);
+        break;
+    }
+}
+
+std::uint64_t MeasureResults::bytesEach(const std::vector<Measure>& measures, const MeasureOptions& options)
+{
+    std::uint64_t bytes = 0;
+    for (const Measure& measure : measures) {
+        switch (measure.kind) {
+        case MeasureKind::kAverage:
+            bytes +=
+                attributeBytes(averageType(options.attributes[attributeNamed(measure.attribute, options)]));
+            break;
+        case MeasureKind::kPca:
+            bytes += attributeBytes(AttributeType::kVec3s) + attributeBytes(AttributeType::kMat3s) +
+                     attributeBytes(AttributeType::kVec3d) + 1;
+            break;
+        case MeasureKind::kNormal:
+        case MeasureKind::kEigenvalues:
+            bytes += attributeBytes(AttributeType::kVec3s);
+            break;
+        case MeasureKind::kIsolated:
+        case MeasureKind::kNonfinite:
+            bytes += 1;
+            break;
+        default:
+            bytes += sizeof(std::int64_t);
+            break;
+        }
+    }
+    return bytes;
+}
+
+} // namespace vdb_nns

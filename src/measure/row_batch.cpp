@@ -1,0 +1,408 @@
+#include "measure/row_batch.h"
+
+#include "exact/exact_test.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+namespace vdb_nns {
+
+namespace {
+
+constexpr std::size_t kBatchPairs = 512; // whose columns fit the first-level cache
+constexpr double kPi = 3.14159265358979323846;
+
+std::size_t padded(std::size_t pairs)
+{
+    return (pairs + kPairPad - 1) / kPairPad * kPairPad;
+}
+
+PairWeight weightOf(SmoothingKernel kernel)
+{
+    switch (kernel) {
+    case SmoothingKernel::kCubic:
+        return PairWeight::kCubic;
+    case SmoothingKernel::kWendland2:
+        return PairWeight::kWendland2;
+    case SmoothingKernel::kPoly6:
+        return PairWeight::kPoly6;
+    case SmoothingKernel::kTophat:
+        break;
+    }
+    return PairWeight::kTophat;
+}
+
+// W(0) of a support of 1.
+double weightAtZero(SmoothingKernel kernel)
+{
+    switch (kernel) {
+    case SmoothingKernel::kCubic:
+        return 8 / kPi;
+    case SmoothingKernel::kWendland2:
+        return 21 / (2 * kPi);
+    case SmoothingKernel::kPoly6:
+        return 315 / (64 * kPi);
+    case SmoothingKernel::kTophat:
+        break;
+    }
+    return 3 / (4 * kPi);
+}
+
+double cube(double x)
+{
+    return x * x * x;
+}
+
+// Of x in (0, 1], by Newton's steps from 2^-k / 2, k >= 0: the C library's differs from version to version.
+double cubeRoot(double x)
+{
+    double scale = 1;
+    for (; x < 0.125; x *= 8) scale *= 0.5;
+    double y = 0.5 + 0.5 * x; // above the root
+    for (int step = 0; step < 6; ++step) y = (2 * y + x / (y * y)) / 3;
+    return y * scale;
+}
+
+// Eigenvalues in descending order and their vectors as a rotation: see measure.h.
+struct Axes {
+    double value[3];
+    double vector[3][3];
+
+    explicit Axes(const double* eigen)
+    {
+        int order[3] = {0, 1, 2};
+        const auto sortTwo = [&](int a, int b) {
+            if (eigen[order[a]] < eigen[order[b]]) std::swap(order[a], order[b]);
+        };
+        sortTwo(0, 1);
+        sortTwo(1, 2);
+        sortTwo(0, 1);
+        for (int k = 0; k < 3; ++k) {
+            value[k] = std::max(eigen[order[k]], 0.0); // a rounding below
+            for (int c = 0; c < 3; ++c) vector[k][c] = eigen[3 + 3 * c + order[k]];
+        }
+        makePositive(vector[0]);
+        makePositive(vector[1]);
+        for (int c = 0; c < 3; ++c) {
+            const int d = (c + 1) % 3, e = (c + 2) % 3;
+            vector[2][c] = vector[0][d] * vector[1][e] - vector[0][e] * vector[1][d];
+        }
+    }
+
+private:
+    static void makePositive(double (&v)[3])
+    {
+        int largest = 0;
+        for (int c = 1; c < 3; ++c) {
+            if (std::fabs(v[c]) > std::fabs(v[largest])) largest = c;
+        }
+        if (v[largest] >= 0) return;
+        for (double& x : v) x = -x;
+    }
+};
+
+} // namespace
+
+RowBatch::RowBatch(const RowMeasures& measures)
+    : mMeasures(measures),
+      mTargets(measures.targets),
+      mWantsWeights(mTargets.density || mTargets.normal || mTargets.eigenvalues ||
+                    !mTargets.averages.empty()),
+      mHasRadii(!measures.sets.radius.isOne()),
+      mIsByPair(mHasRadii && measures.sets.radius.mode != RadiusMode::kGather)
+{
+    reserve(2 * kBatchPairs);
+}
+
+void RowBatch::reserve(std::size_t pairs)
+{
+    if (pairs <= mCapacity) return;
+    const std::size_t capacity = padded(pairs + pairs / 2);
+    PageArray<double> grown;
+    grown.resizeDiscarding(capacity * kColumns);
+    for (std::size_t c = 0; c < kColumns && mUsed > 0; ++c)
+        std::memcpy(grown.data() + c * capacity, column(static_cast<Column>(c)), mUsed * sizeof(double));
+    PageArray<std::uint32_t> numbers;
+    numbers.resizeDiscarding(capacity);
+    if (mUsed > 0) std::memcpy(numbers.data(), mNumbers.data(), mUsed * sizeof(std::uint32_t));
+    mPairs = std::move(grown);
+    mNumbers = std::move(numbers);
+    mCapacity = capacity;
+}
+
+void RowBatch::add(std::uint32_t query, const std::uint32_t* neighbors, std::uint32_t count)
+{
+    const std::size_t begin = mUsed, end = begin + padded(count);
+    reserve(end);
+    const bool isOwn = mMeasures.sets.isCandidate(query);
+    Row row{query, isOwn ? 1.0 : 0.0, isOwn ? 1.0 : 0.0, mMeasures.radius};
+    if (count > 0) {
+        const PairPositions& positions = mMeasures.positions;
+        mMeasures.kernels.differences[static_cast<std::size_t>(positions.record())](
+            positions.query(query), positions.candidates(), neighbors, count, column(kX) + begin,
+            column(kY) + begin, column(kZ) + begin);
+        std::uint32_t* const numbers = mNumbers.data() + begin;
+        std::memcpy(numbers, neighbors, count * sizeof(std::uint32_t));
+        std::fill(numbers + count, mNumbers.data() + end, neighbors[count - 1]);
+        double* const valid = column(kValid) + begin;
+        std::fill(valid, valid + count, 1.0);
+        std::fill(valid + count, column(kValid) + end, 0.0);
+    }
+    if (mHasRadii) setRadii(row, neighbors, count, begin);
+    mRows.push_back(row);
+    mBegin.push_back(static_cast<std::uint32_t>(begin));
+    mCount.push_back(count);
+    mUsed = end;
+    if (mUsed >= kBatchPairs || mRows.size() >= kBatchPairs) flush();
+}
+
+void RowBatch::setRadii(Row& row, const std::uint32_t* neighbors, std::uint32_t count, std::size_t begin)
+{
+    const Radius& radius = mMeasures.sets.radius;
+    double* const inverse = column(kInverse) + begin;
+    if (!mIsByPair) {
+        row.reference = radius.ofQueries[row.query];
+        std::fill(inverse, inverse + padded(count), 1 / row.reference);
+        return;
+    }
+    for (std::size_t k = 0; k < padded(count); ++k) {
+        const std::uint32_t j = neighbors[std::min<std::size_t>(k, count - 1)];
+        inverse[k] = 1 / radiusOfPair(radius, row.query, j);
+    }
+    if (row.isOwn == 0) return;
+    const double own = radiusOfPair(radius, row.query, row.query);
+    row.ownWeight = own > 0 ? cube(row.reference / own) : 0;
+}
+
+// W is a weight times W(0) of the row's reference: where radii differ from pair to pair, by the cube of its ratio to them.
+void RowBatch::scaleByRadii()
+{
+    double* const weight = column(kWeight);
+    const double* const inverse = column(kInverse);
+    for (std::size_t r = 0; r < mRows.size(); ++r) {
+        for (std::size_t k = mBegin[r]; k < mBegin[r] + padded(mCount[r]); ++k)
+            weight[k] *= cube(mRows[r].reference * inverse[k]);
+    }
+}
+
+void RowBatch::weigh()
+{
+    const MeasureKernels& kernels = mMeasures.kernels;
+    kernels.distances(mMeasures.positions.map(), mUsed, column(kX), column(kY), column(kZ),
+                      column(kDistance));
+    const double one = 1 / mMeasures.radius;
+    const double* const inverse = mHasRadii ? column(kInverse) : &one;
+    const std::size_t step = mHasRadii ? 1 : 0;
+    if (mWantsWeights) {
+        kernels.weights(weightOf(mMeasures.options.kernel), mUsed, column(kDistance), inverse, step,
+                        column(kValid), column(kWeight));
+        if (mIsByPair) scaleByRadii();
+    }
+    if (mTargets.stretch) {
+        kernels.weights(PairWeight::kPca, mUsed, column(kDistance), inverse, step, column(kValid),
+                        column(kPcaWeight));
+    }
+}
+
+const double* RowBatch::sums(const PairRows& rows, Column weight, const double* factor)
+{
+    mSums.resize(rows.rows);
+    mMeasures.kernels.sums(rows, column(weight), factor, mSums.data());
+    return mSums.data();
+}
+
+void RowBatch::writeDistances(const PairRows& rows)
+{
+    if (mTargets.meanDistance) {
+        const double* const sum = sums(rows, kValid, column(kDistance));
+        for (std::size_t r = 0; r < rows.rows; ++r) {
+            if (mCount[r] > 0) mTargets.meanDistance[mRows[r].query] = static_cast<float>(sum[r] / mCount[r]);
+        }
+    }
+    if (mTargets.nearestDistance) {
+        mSums.resize(rows.rows);
+        mMeasures.kernels.least(rows, column(kDistance), mSums.data());
+        for (std::size_t r = 0; r < rows.rows; ++r) {
+            if (mCount[r] > 0) mTargets.nearestDistance[mRows[r].query] = static_cast<float>(mSums[r]);
+        }
+    }
+}
+
+void RowBatch::writeAverages(const PairRows& rows)
+{
+    for (const MeasureTargets::Average& average : mTargets.averages) {
+        const AveragedAttribute& attribute = mMeasures.averaged[average.attribute];
+        const double* weightSums = mWeightSums.data();
+        Column weight = kWeight;
+        std::vector<double> validSums;
+        if (attribute.valid) {
+            weight = kValidWeight;
+            for (std::size_t k = 0; k < mUsed; ++k)
+                column(kValidWeight)[k] = column(kWeight)[k] * attribute.valid[mNumbers[k]];
+            const double* const sum = sums(rows, kValidWeight, nullptr);
+            validSums.assign(sum, sum + rows.rows);
+            weightSums = validSums.data();
+        }
+        for (std::size_t c = 0; c < attribute.width; ++c) {
+            const auto valueOf = [&](std::uint32_t number) {
+                return attribute.values[attribute.width * number + c];
+            };
+            double* const factor = column(kFactor);
+            for (std::size_t k = 0; k < mUsed; ++k) factor[k] = valueOf(mNumbers[k]);
+            const double* const sum = sums(rows, weight, factor);
+            for (std::size_t r = 0; r < rows.rows; ++r) {
+                const std::uint32_t query = mRows[r].query;
+                const bool hasOwn = mRows[r].isOwn != 0 && (!attribute.valid || attribute.valid[query] != 0);
+                const double own = hasOwn ? mRows[r].ownWeight : 0;
+                const double total = weightSums[r] + own;
+                if (!(total > 0)) continue;
+                const double value = (sum[r] + (hasOwn ? own * valueOf(query) : 0)) / total;
+                const std::size_t at = attribute.width * query + c;
+                if (average.type == AttributeType::kDouble || average.type == AttributeType::kVec3d) {
+                    static_cast<double*>(average.out)[at] = value;
+                } else {
+                    static_cast<float*>(average.out)[at] = static_cast<float>(value);
+                }
+            }
+        }
+    }
+}
+
+void RowBatch::writePca(const double* eigen, std::size_t r)
+{
+    const PcaOptions& pca = mMeasures.options.pca;
+    const std::size_t query = mRows[r].query;
+    if (pca.average > 0) {
+        for (std::size_t c = 0; c < 3; ++c) mTargets.pws[3 * query + c] += pca.average * mCenters[3 * r + c];
+    }
+    const std::uint64_t points = mCount[r] + (mRows[r].isOwn != 0 ? 1u : 0u);
+    if (pca.threshold == 0 || points < pca.threshold) return;
+    mTargets.ellipsoids[query] = 1;
+    const Axes axes(eigen);
+    double length[3] = {1, 1, 1};
+    if (axes.value[0] > 0) {
+        for (int k = 1; k < 3; ++k) length[k] = std::max(axes.value[k] / axes.value[0], pca.anisotropy);
+        const double root = cubeRoot(length[1]) * cubeRoot(length[2]);
+        for (double& l : length) l /= root;
+    }
+    for (std::size_t k = 0; k < 3; ++k) {
+        mTargets.stretch[3 * query + k] = static_cast<float>(length[k]);
+        for (std::size_t c = 0; c < 3; ++c)
+            mTargets.xform[9 * query + 3 * c + k] = static_cast<float>(axes.vector[k][c]);
+    }
+}
+
+void RowBatch::writeEigenvalues(const double* eigen, std::size_t r)
+{
+    const Axes axes(eigen);
+    for (std::size_t k = 0; k < 3; ++k)
+        mTargets.eigenvalues[3 * mRows[r].query + k] = static_cast<float>(axes.value[k]);
+}
+
+// Weighted means and moments about them; mVectors has the sums of W (x_j - x_i).
+void RowBatch::writeAxes(const PairRows& rows, Column weight, bool isPca)
+{
+    const std::size_t count = rows.rows;
+    const double* const weightSum = sums(rows, weight, nullptr);
+    mCenters.assign(3 * count, 0.0);
+    std::vector<double>& totals = mWeightSums; // those of W are not needed any more
+    totals.resize(count);
+    for (std::size_t r = 0; r < count; ++r) {
+        totals[r] = weightSum[r] + (isPca ? mRows[r].isOwn : mRows[r].ownWeight);
+        if (!(totals[r] > 0)) continue;
+        for (std::size_t c = 0; c < 3; ++c) mCenters[3 * r + c] = mVectors[3 * r + c] / totals[r];
+    }
+    mMoments.assign(6 * padded(count), 0.0);
+    mMeasures.kernels.momentSums(rows, column(weight), column(kX), column(kY), column(kZ), mCenters.data(),
+                                 mMoments.data());
+    for (std::size_t r = 0; r < count; ++r) {
+        const double own = isPca ? mRows[r].isOwn : mRows[r].ownWeight;
+        const double* const c = mCenters.data() + 3 * r;
+        const double ofOwn[6] = {c[0] * c[0], c[1] * c[1], c[2] * c[2],
+                                 c[0] * c[1], c[0] * c[2], c[1] * c[2]};
+        for (std::size_t p = 0; p < 6; ++p) {
+            double& moment = mMoments[6 * r + p];
+            moment = totals[r] > 0 ? (moment + own * ofOwn[p]) / totals[r] : 0;
+        }
+    }
+    mEigen.resize(kEigenNumbers * padded(count));
+    mMeasures.kernels.eigen(mMoments.data(), padded(count), mEigen.data());
+    for (std::size_t r = 0; r < count; ++r) {
+        if (!(totals[r] > 0)) continue;
+        const double* const eigen = mEigen.data() + kEigenNumbers * r;
+        if (isPca) {
+            writePca(eigen, r);
+        } else {
+            writeEigenvalues(eigen, r);
+        }
+    }
+}
+
+void RowBatch::flush()
+{
+    if (mRows.empty()) return;
+    const PairRows rows{mBegin.data(), mCount.data(), mRows.size()};
+    if (mTargets.wantsRows()) {
+        const auto vectorSums = [&](Column weight) {
+            mVectors.resize(3 * rows.rows);
+            mMeasures.kernels.vectorSums(rows, column(weight), column(kX), column(kY), column(kZ),
+                                         column(kDistance), mVectors.data());
+        };
+        weigh();
+        writeDistances(rows);
+        if (mWantsWeights) {
+            const double* const sum = sums(rows, kWeight, nullptr);
+            mWeightSums.assign(sum, sum + rows.rows);
+        }
+        if (mTargets.density) writeDensities(rows);
+        writeAverages(rows);
+        if (mTargets.normal || mTargets.eigenvalues) vectorSums(kWeight);
+        if (mTargets.normal) writeNormals();
+        if (mTargets.eigenvalues) writeAxes(rows, kWeight, false);
+        if (mTargets.stretch) {
+            vectorSums(kPcaWeight);
+            writeAxes(rows, kPcaWeight, true);
+        }
+    }
+    mRows.clear();
+    mBegin.clear();
+    mCount.clear();
+    mUsed = 0;
+}
+
+void RowBatch::writeDensities(const PairRows& rows)
+{
+    const MeasureOptions& options = mMeasures.options;
+    const double* sum = mWeightSums.data();
+    const bool hasMasses = !options.masses.empty();
+    if (hasMasses) {
+        double* const factor = column(kFactor);
+        for (std::size_t k = 0; k < mUsed; ++k) factor[k] = options.masses[mNumbers[k]];
+        sum = sums(rows, kWeight, factor);
+    }
+    const double atZero = weightAtZero(options.kernel);
+    for (std::size_t r = 0; r < rows.rows; ++r) {
+        const Row& row = mRows[r];
+        const double total = hasMasses
+                                 ? sum[r] + (row.isOwn != 0 ? row.ownWeight * options.masses[row.query] : 0)
+                                 : options.mass * (sum[r] + row.ownWeight);
+        mTargets.density[row.query] = static_cast<float>(total * (atZero / cube(row.reference)));
+    }
+}
+
+void RowBatch::writeNormals()
+{
+    for (std::size_t r = 0; r < mRows.size(); ++r) {
+        const double* const v = mVectors.data() + 3 * r;
+        // In units of the largest component, so that nothing passes the range.
+        const double largest = std::max({std::fabs(v[0]), std::fabs(v[1]), std::fabs(v[2])});
+        if (!(largest > 0) || !std::isfinite(largest)) continue;
+        const double u[3] = {v[0] / largest, v[1] / largest, v[2] / largest};
+        const double length = std::sqrt((u[0] * u[0] + u[1] * u[1]) + u[2] * u[2]);
+        for (std::size_t c = 0; c < 3; ++c)
+            mTargets.normal[3 * mRows[r].query + c] = static_cast<float>(-u[c] / length);
+    }
+}
+
+} // namespace vdb_nns
