@@ -38,9 +38,10 @@ double parseMass(const std::string& text)
     return mass;
 }
 
-std::uint32_t parseNumberOfNeighbors(const std::string& text, const std::string& flag)
+std::uint32_t parseNeighbors(const std::string& text, const std::string& flag, std::uint32_t least)
 {
-    return static_cast<std::uint32_t>(parseRange(text, flag, 0, std::numeric_limits<std::uint32_t>::max()));
+    return static_cast<std::uint32_t>(
+        parseRange(text, flag, least, std::numeric_limits<std::uint32_t>::max()));
 }
 
 PcaOptions parsePca(const MeasureFlags& flags)
@@ -51,7 +52,7 @@ PcaOptions parsePca(const MeasureFlags& flags)
         throw InvalidInput("--pca-anisotropy: '" + flags.pcaAnisotropy +
                            "' is out of range; give a number above 0 and up to 1");
     pca.stretch = parseNumber(flags.pcaStretch, "--pca-stretch");
-    pca.threshold = parseNumberOfNeighbors(flags.pcaThreshold, "--pca-threshold");
+    pca.threshold = parseNeighbors(flags.pcaThreshold, "--pca-threshold", 0);
     pca.average = parseNumber(flags.pcaAverage, "--pca-average");
     if (!(pca.average >= 0 && pca.average <= 1))
         throw InvalidInput("--pca-average: '" + flags.pcaAverage + "' is out of range; give 0 to 1");
@@ -294,7 +295,7 @@ MeasurePlan checkMeasureFlags(const MeasureFlags& flags, const std::vector<std::
     plan.options.mass = parseMass(flags.mass);
     plan.options.pca = parsePca(flags);
     if (!flags.minNeighbors.empty())
-        plan.options.minNeighbors = parseNumberOfNeighbors(flags.minNeighbors, "--min-neighbors");
+        plan.options.minNeighbors = parseNeighbors(flags.minNeighbors, "--min-neighbors", 1);
     plan.massAttribute = flags.massAttribute;
     const bool givesMass = std::find(flags.given.begin(), flags.given.end(), "--mass") != flags.given.end();
     if (givesMass && !flags.massAttribute.empty())
