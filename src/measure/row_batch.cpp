@@ -135,7 +135,9 @@ void RowBatch::add(std::uint32_t query, const std::uint32_t* neighbors, std::uin
 {
     const std::size_t begin = mUsed, end = begin + padded(count);
     reserve(end);
-    const bool isOwn = mMeasures.sets.isCandidate(query);
+    // A radius that reaches nobody does not reach the query itself.
+    const bool isOwn = mMeasures.sets.isCandidate(query) &&
+                       (!mHasRadii || radiusOfPair(mMeasures.sets.radius, query, query) > 0);
     Row row{query, isOwn ? 1.0 : 0.0, isOwn ? 1.0 : 0.0, mMeasures.radius};
     if (count > 0) {
         const PairPositions& positions = mMeasures.positions;
@@ -149,7 +151,7 @@ void RowBatch::add(std::uint32_t query, const std::uint32_t* neighbors, std::uin
         std::fill(valid, valid + count, 1.0);
         std::fill(valid + count, column(kValid) + end, 0.0);
     }
-    if (mHasRadii) setRadii(row, neighbors, count, begin);
+    if (mHasRadii && (count > 0 || isOwn)) setRadii(row, neighbors, count, begin);
     mRows.push_back(row);
     mBegin.push_back(static_cast<std::uint32_t>(begin));
     mCount.push_back(count);
