@@ -580,7 +580,7 @@ inline void rotate(SimdD::D& app, SimdD::D& aqq, SimdD::D& apq, SimdD::D& arp, S
     const S::D root = S::sqrt(S::add(S::mul(h, h), S::mul(two, two)));
     const S::D under = S::where(S::less(h, zero), S::sub(h, root), S::add(h, root));
     S::D t = S::div(two, under);
-    t = S::where(S::equal(apq, zero), zero, t);
+    t = S::where(S::equal(under, zero), zero, t); // apq is 0, or its square is
     const S::D c = S::div(one, S::sqrt(S::add(S::mul(t, t), one))), s = S::mul(t, c);
     const S::D moved = S::mul(t, apq);
     app = S::sub(app, moved);

@@ -1,8 +1,9 @@
-// vdb_nns verify: checks lists against the independent exact search.
+// vdb_nns verify: checks lists and attributes against the independent exact search.
 #include "cli_options.h"
 #include "command.h"
 #include "exit_codes.h"
 #include "machine.h"
+#include "measure_options.h"
 #include "query_options.h"
 #include "report.h"
 #include "standard_streams.h"
@@ -13,6 +14,8 @@
 #include "verify/array_points.h"
 #include "verify/independent_search.h"
 #include "verify/lists_reader.h"
+#include "verify/result_file.h"
+#include "verify_measures.h"
 
 #include <cmath>
 #include <memory>
@@ -28,7 +31,8 @@ struct VerifyFlags {
     CommonFlags common;
     InputFlags input;
     QueryFlags query;
-    std::string lists, sample, seed = "1";
+    MeasureFlags measures;
+    std::string result, sample, seed = "1";
 };
 
 Json exampleJson(const FaultExample& example)
@@ -46,18 +50,30 @@ struct Checked {
     std::uint64_t badRadii = 0;
 };
 
-std::string verifyJson(const VerifyFlags& flags, const Checked& checked, const VerifyReport& report,
-                       double seconds)
+// What reports of lists and of attributes have alike; `holds` says which.
+Json headJson(const VerifyFlags& flags, const Checked& checked, const char* holds, bool passed)
 {
     Json json;
     json["schema"] = 1;
     json["version"] = VDB_NNS_VERSION;
     json["command"] = "verify";
     json["path"] = flags.input.path;
-    json["lists"] = flags.lists;
+    json[holds] = flags.result;
     json["radius"] = checked.radius ? Json(*checked.radius) : Json(nullptr);
     json["bad_radii"] = checked.radius ? Json(nullptr) : Json(checked.badRadii);
-    json["passed"] = report.passed();
+    json["passed"] = passed;
+    return json;
+}
+
+std::string dumped(const Json& json)
+{
+    return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+std::string reportJson(const VerifyFlags& flags, const Checked& checked, const VerifyReport& report,
+                       double seconds)
+{
+    Json json = headJson(flags, checked, "lists", report.passed());
     json["queries"] = report.queries;
     json["listed_pairs"] = report.listedPairs;
     json["expected_pairs"] = report.expectedPairs;
@@ -71,7 +87,19 @@ std::string verifyJson(const VerifyFlags& flags, const Checked& checked, const V
         json["faults"][key] = {{"count", finding.count}, {"examples", examples}};
     }
     json["seconds"] = seconds;
-    return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+    return dumped(json);
+}
+
+std::string reportJson(const VerifyFlags& flags, const Checked& checked, const MeasureReport& report,
+                       double seconds)
+{
+    Json json = headJson(flags, checked, "attributes", report.passed());
+    json["queries"] = report.queries;
+    json["expected_pairs"] = report.expectedPairs;
+    json["exact_pairs"] = report.exactPairs;
+    json["faults"] = faultsJson(report);
+    json["seconds"] = seconds;
+    return dumped(json);
 }
 
 std::string exampleText(Fault fault, const FaultExample& example)
@@ -86,13 +114,23 @@ std::string exampleText(Fault fault, const FaultExample& example)
     return text + "\n";
 }
 
-std::string verifyText(const Checked& checked, const VerifyReport& report, double seconds)
+std::string headText(const Checked& checked, std::uint64_t queries)
 {
-    std::string text = format("queries     %llu\n", static_cast<unsigned long long>(report.queries));
-    if (!checked.radius) {
-        text += format("radii       of points, %llu of them NaN, infinite or not positive\n",
-                       static_cast<unsigned long long>(checked.badRadii));
-    }
+    std::string text = format("queries     %llu\n", static_cast<unsigned long long>(queries));
+    if (checked.radius) return text;
+    return text + format("radii       of points, %llu of them NaN, infinite or not positive\n",
+                         static_cast<unsigned long long>(checked.badRadii));
+}
+
+std::string endText(const char* what, bool passed, double seconds)
+{
+    return format("time        %.3f s\nresult      the %s are %s\n", seconds, what,
+                  passed ? "right" : "WRONG");
+}
+
+std::string reportText(const Checked& checked, const VerifyReport& report, double seconds)
+{
+    std::string text = headText(checked, report.queries);
     text += format("pairs       %llu listed, %llu expected\n",
                    static_cast<unsigned long long>(report.listedPairs),
                    static_cast<unsigned long long>(report.expectedPairs));
@@ -104,9 +142,16 @@ std::string verifyText(const Checked& checked, const VerifyReport& report, doubl
         text += format("  %-16s %llu\n", faultName(fault), static_cast<unsigned long long>(finding.count));
         for (const FaultExample& example : finding.examples) text += exampleText(fault, example);
     }
-    text += format("time        %.3f s\n", seconds);
-    return text +
-           (report.passed() ? "result      the lists are right\n" : "result      the lists are WRONG\n");
+    return text + endText("lists", report.passed(), seconds);
+}
+
+std::string reportText(const Checked& checked, const MeasureReport& report, double seconds)
+{
+    return headText(checked, report.queries) +
+           format("pairs       %llu\nexact       %llu pairs needed exact arithmetic\n",
+                  static_cast<unsigned long long>(report.expectedPairs),
+                  static_cast<unsigned long long>(report.exactPairs)) +
+           faultsText(report) + endText("attributes", report.passed(), seconds);
 }
 
 // The positions that verify reads itself: none of a .vdb.
@@ -157,6 +202,51 @@ void checkRadii(const std::vector<double>& radii, const std::string& path, const
         throw CheckFailed(*difference);
 }
 
+bool isVdb(const std::string& path)
+{
+    return extensionOf(path) == ".vdb";
+}
+
+// Lists have no measures.
+void checkListFlags(const VerifyFlags& flags)
+{
+    const MeasureFlags& measures = flags.measures;
+    std::string flag = measures.given.empty() ? std::string() : measures.given[0];
+    if (!measures.minNeighbors.empty()) flag = "--min-neighbors";
+    if (!measures.massAttribute.empty()) flag = "--mass-attribute";
+    if (!measures.attributes.empty()) flag = "--attributes";
+    if (flag.empty()) return;
+    throw InvalidInput(flag + " is about attributes, and " + flags.result +
+                       " holds lists; give the .vdb, .ply or .npz that has the attributes");
+}
+
+// What a report is about, for the sentence of the error.
+const char* subject(const VerifyReport&)
+{
+    return "the neighbors";
+}
+const char* subject(const MeasureReport&)
+{
+    return "the measures";
+}
+
+// Delivers a report, of lists or of attributes, and fails where something was wrong.
+template <typename Report>
+int deliver(const VerifyFlags& flags, const Checked& checked, const Report& report, ProgressPrinter& progress,
+            const Stopwatch& watch)
+{
+    throwIfStopped();
+    progress.finish();
+    deliverJson(flags.common.json, reportJson(flags, checked, report, watch.seconds()),
+                outputOptions(flags.common));
+    if (!flags.common.quiet && !jsonToStdout(flags.common))
+        writeSummary(reportText(checked, report, watch.seconds()));
+    if (report.passed()) return kDone;
+    throw CheckFailed(flags.result + " differs from " + subject(report) + " of " + flags.input.path + " in " +
+                      std::to_string(report.faultCount()) + " places (" + std::to_string(report.queries) +
+                      " queries checked)");
+}
+
 int verifyFile(const VerifyFlags& flags, const QueryPlan& plan, const VerifyOptions& options,
                Session& session)
 {
@@ -173,12 +263,12 @@ int verifyFile(const VerifyFlags& flags, const QueryPlan& plan, const VerifyOpti
     terms.queries.view = terms.candidates.view = candidates.view;
     CheckedPoints queries;
     const std::string& queriesPath = flags.query.queries.empty() ? flags.input.path : flags.query.queries;
+    terms.queryTranslation = terms.candidateTranslation = translationOf(input.candidates);
     if (input.queries) {
         queries = checkedPoints(*input.queries, queriesPath,
                                 queryFileOptions(flags.query, flags.input, 0, &progress));
         terms.queries.view = queries.view;
         terms.queryTranslation = translationOf(*input.queries);
-        terms.candidateTranslation = translationOf(input.candidates);
     }
     const std::string &radiusFile = flags.query.radiusFile,
                       &queriesRadiusFile = flags.query.queriesRadiusFile;
@@ -187,7 +277,7 @@ int verifyFile(const VerifyFlags& flags, const QueryPlan& plan, const VerifyOpti
     checkRadii(input.candidateRadii, flags.input.path, radiusFile, flags, plan.radiusScale, inputOptions);
     session.path = flags.input.path;
     session.grid = flags.input.grid;
-    session.otherPath = flags.lists;
+    session.otherPath = flags.result;
     Checked checked{{}, input.badRadii};
     if (!plan.hasRadii) {
         const std::optional<double> suggested =
@@ -198,21 +288,17 @@ int verifyFile(const VerifyFlags& flags, const QueryPlan& plan, const VerifyOpti
     terms.nearest = plan.nearest;
     terms.byDistance = plan.byDistance;
     terms.includeSelf = plan.includeSelf;
-    const ListsFile lists = ListsFile::open(flags.lists, &progress);
-    progress.begin("verify", 0.2, 1);
-    const VerifyReport report = verifyLists(terms, lists, options, &progress);
-    throwIfStopped();
-    progress.finish();
-    deliverJson(flags.common.json, verifyJson(flags, checked, report, watch.seconds()),
-                outputOptions(flags.common));
-    if (!flags.common.quiet && !jsonToStdout(flags.common))
-        writeSummary(verifyText(checked, report, watch.seconds()));
-    if (!report.passed()) {
-        throw CheckFailed(flags.lists + " differs from the neighbors of " + flags.input.path + " in " +
-                          std::to_string(report.faultCount()) + " places (" + std::to_string(report.queries) +
-                          " queries checked)");
+    if (ResultFile::holdsValues(flags.result)) {
+        const std::string& grid = input.queries ? flags.query.queriesGrid : flags.input.grid;
+        progress.begin("verify", 0.2, 1);
+        const MeasureTask task{
+            flags.result, isVdb(queriesPath) ? grid : std::string(), flags.measures, input, terms, options};
+        return deliver(flags, checked, checkResult(task, &progress), progress, watch);
     }
-    return kDone;
+    checkListFlags(flags);
+    const ListsFile lists = ListsFile::open(flags.result, &progress);
+    progress.begin("verify", 0.2, 1);
+    return deliver(flags, checked, verifyLists(terms, lists, options, &progress), progress, watch);
 }
 
 int runVerifyCommand(const VerifyFlags& flags, Session& session)
@@ -224,9 +310,10 @@ int runVerifyCommand(const VerifyFlags& flags, Session& session)
     if (options.sample && *options.sample == 0)
         throw InvalidInput("--sample: 0 queries check nothing; give 1 or more");
     options.seed = parseCount(flags.seed, "--seed");
+    checkMeasureFlags(flags.measures, plan);
     ThreadLimit threads(threadCount(flags.common));
     std::vector<std::string> inputs = queryFiles(flags.query);
-    inputs.insert(inputs.end(), {flags.input.path, flags.lists});
+    inputs.insert(inputs.end(), {flags.input.path, flags.result});
     checkOutputs({}, inputs, flags.common);
     return threads.run([&] { return verifyFile(flags, plan, options, session); });
 }
@@ -235,14 +322,21 @@ int runVerifyCommand(const VerifyFlags& flags, Session& session)
 
 Command addVerifyCommand(CLI::App& app)
 {
-    CLI::App* command = app.add_subcommand("verify", "check lists against an independent exact search");
+    CLI::App* command =
+        app.add_subcommand("verify", "check lists and attributes against an independent exact search");
     const auto flags = std::make_shared<VerifyFlags>();
     command->add_option("IN", flags->input.path, "point file that was searched")
         ->required()
         ->check(notEmpty());
-    command->add_option("LISTS", flags->lists, "lists to check (.npz)")->required()->check(notEmpty());
+    command
+        ->add_option(
+            "RESULT", flags->result,
+            "what to check: lists (.npz), points with attributes (.vdb .ply) or arrays of them (.npz)")
+        ->required()
+        ->check(notEmpty());
     addInputFlags(*command, flags->input, true);
     addQueryFlags(*command, flags->query);
+    addMeasureFlags(*command, flags->measures);
     command
         ->add_option("--sample", flags->sample,
                      "check N random queries against all points; default: all queries")

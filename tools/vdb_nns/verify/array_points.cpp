@@ -4,6 +4,7 @@
 #include "point_formats.h"
 #include "throw_if_cancelled.h"
 #include "vdb_nns/error.h"
+#include "zip_members.h"
 
 #include <algorithm>
 #include <cctype>
@@ -100,6 +101,23 @@ std::optional<std::string> findDifference(const std::string& path, const Particl
     if (engine.size() == ownSize) return std::nullopt;
     return path + ": has " + std::to_string(engine.size()) + " points to the engine's reader and " +
            std::to_string(ownSize) + " to verify's own";
+}
+
+std::vector<std::string> listNpzArrays(const std::string& path)
+{
+    const std::string extension = ".npy";
+    std::vector<std::string> arrays;
+    for (const std::string& name : zipNames(FilePieces(path))) {
+        const bool isArray = name.size() > extension.size() &&
+                             name.compare(name.size() - extension.size(), extension.size(), extension) == 0;
+        if (isArray) arrays.push_back(name.substr(0, name.size() - extension.size()));
+    }
+    return arrays;
+}
+
+PointValues readNpzValues(const std::string& path, const std::string& array, const PointFileOptions& options)
+{
+    return readNpzArray({path, options}, array);
 }
 
 std::vector<double> readPlyScalars(const std::string& path, const std::string& property,

@@ -6,6 +6,7 @@
 
 #include "vdb_nns/particle_view.h"
 #include "vdb_nns/point_file.h"
+#include "vdb_nns/point_values.h"
 
 #include <optional>
 #include <string>
@@ -34,6 +35,15 @@ std::vector<double> readPlyScalars(const std::string& path, const std::string& p
 // The numbers of an .npy of shape (N,) or (N, 1), of 4 or 8 bytes.
 // @throws InputError for another file
 std::vector<double> readNpyNumbers(const std::string& path, const PointFileOptions& options = {});
+
+// Names of the arrays of an .npz, in the order of the file.
+// @throws InputError for a file that is no .npz
+std::vector<std::string> listNpzArrays(const std::string& path);
+
+// One of them as values of points: an attribute of rows of 1, 3 or 9 numbers, or a group of bools.
+// @throws InputError for another array, and for a file that is damaged
+PointValues readNpzValues(const std::string& path, const std::string& array,
+                          const PointFileOptions& options = {});
 
 // The sentence about the first of the values of the points of `path` that two readers understand differently, or about their
 // number; nothing where all are the same.

@@ -6,8 +6,11 @@
 #include "zip_members.h"
 
 #include <cctype>
+#include <cstdint>
 #include <cstdlib>
 #include <limits>
+#include <memory>
+#include <optional>
 
 namespace vdb_nns::cli {
 
@@ -120,6 +123,40 @@ public:
         return numbers;
     }
 
+    // Rows of all numbers.
+    PointValues readValues(const std::string& name)
+    {
+        const Literal header = readHeader();
+        for (const Literal& size : valueOf(header, "shape").items) mShape.push_back(sizeOf(size));
+        const std::string descr = valueOf(header, "descr").text;
+        const bool isGroup = descr == "|b1";
+        Column column = columnOf(descr, mItemBytes);
+        if (isGroup) column.type.kind = 'u';
+        checkNumber(column);
+        checkSize();
+        std::uint64_t width = 1;
+        for (std::size_t k = 1; k < mShape.size(); ++k) width = product(width, mShape[k]);
+        const std::optional<AttributeType> type = attributeType(column.type, width);
+        const bool isFortran = valueOf(header, "fortran_order").text == "True";
+        if (mShape.empty() || (isFortran && width > 1) || (isGroup ? width != 1 : !type))
+            fail("has an array '" + name + "' of the .npy type '" + descr + "' with " +
+                 std::to_string(width) + " numbers a row, which no attribute has");
+        PointValues values;
+        if (isGroup) {
+            const auto members = numbers<std::uint8_t>(column, 1);
+            values.groups.push_back({name, mShape[0], {members, members->data()}});
+            return values;
+        }
+        std::shared_ptr<const void> owned;
+        if (column.type.kind == 'f')
+            owned = column.type.bytes == 4 ? owner<float>(column, width) : owner<double>(column, width);
+        else
+            owned = column.type.bytes == 4 ? owner<std::int32_t>(column, width)
+                                           : owner<std::int64_t>(column, width);
+        values.attributes.push_back({name, *type, mShape[0], owned});
+        return values;
+    }
+
     Positions read()
     {
         const Literal header = readHeader();
@@ -137,6 +174,39 @@ public:
 
 private:
     [[noreturn]] void fail(const std::string& what) const { mInput.fail(what); }
+
+    static std::optional<AttributeType> attributeType(const NumberType& type, std::uint64_t width)
+    {
+        const bool isDouble = type.bytes == 8;
+        if (type.kind == 'i' && width == 1 && type.bytes >= 4)
+            return isDouble ? AttributeType::kInt64 : AttributeType::kInt32;
+        if (type.kind != 'f' || type.bytes < 4) return std::nullopt;
+        if (width == 1) return isDouble ? AttributeType::kDouble : AttributeType::kFloat;
+        if (width == 3) return isDouble ? AttributeType::kVec3d : AttributeType::kVec3s;
+        if (width == 9 && !isDouble) return AttributeType::kMat3s;
+        return std::nullopt;
+    }
+
+    template <typename To>
+    std::shared_ptr<std::vector<To>> numbers(const Column& column, std::uint64_t width) const
+    {
+        const auto result = std::make_shared<std::vector<To>>(mShape[0] * width);
+        for (std::size_t at = 0; at < result->size(); ++at) {
+            if (at % kRowsBetweenChecks == 0) mInput.checkCancelled();
+            const std::optional<double> value =
+                numberAt(mBytes.data() + mBegin + at * mItemBytes, column.type, column.isBigEndian);
+            if (!value) fail("has an integer beyond 2^53 in row " + std::to_string(at / width));
+            (*result)[at] = static_cast<To>(*value);
+        }
+        return result;
+    }
+
+    template <typename To>
+    std::shared_ptr<const void> owner(const Column& column, std::uint64_t width) const
+    {
+        const auto values = numbers<To>(column, width);
+        return {values, values->data()};
+    }
 
     Literal readHeader()
     {
@@ -300,6 +370,13 @@ std::vector<double> readNpyList(const PointInput& input)
 {
     const std::string bytes = input.bytes();
     return NpyArray(input, bytes).readList();
+}
+
+PointValues readNpzArray(const PointInput& input, const std::string& name)
+{
+    const FilePieces file(input.path);
+    const std::string bytes = zipContent(file, name + ".npy", input.options.progress);
+    return NpyArray(input, bytes).readValues(name);
 }
 
 Positions readNpzPoints(const PointInput& input)

@@ -29,6 +29,7 @@ Positions readNpzPoints(const PointInput& input);
 Positions readPlyPoints(const PointInput& input);
 std::vector<double> readPlyProperty(const PointInput& input, const std::string& name);
 std::vector<double> readNpyList(const PointInput& input);
+PointValues readNpzArray(const PointInput& input, const std::string& name);
 Positions readVtkPoints(const PointInput& input);
 Positions readBgeoPoints(const PointInput& input);
 

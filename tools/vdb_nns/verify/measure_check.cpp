@@ -1,0 +1,561 @@
+#include "measure_check.h"
+
+#include "cluster_labels.h"
+#include "distance_order.h"
+#include "expected_values.h"
+#include "row_pass.h"
+#include "vdb_nns/error.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <iterator>
+#include <limits>
+#include <optional>
+#include <utility>
+
+namespace vdb_nns::cli {
+
+namespace {
+
+const std::string kAverage = "average:";
+
+template <typename Found>
+auto findNamed(const std::vector<Found>& values, const std::string& name)
+{
+    return std::find_if(values.begin(), values.end(), [&](const Found& v) { return v.name == name; });
+}
+
+double numberAt(const PointAttribute& attribute, std::uint64_t i, std::size_t component)
+{
+    const std::size_t at = static_cast<std::size_t>(i) * attributeWidth(attribute.type) + component;
+    const void* const values = attribute.values.get();
+    switch (attribute.type) {
+    case AttributeType::kInt32:
+        return static_cast<const std::int32_t*>(values)[at];
+    case AttributeType::kInt64: // the integers that measures have are exact
+        return static_cast<double>(static_cast<const std::int64_t*>(values)[at]);
+    case AttributeType::kDouble:
+    case AttributeType::kVec3d:
+        return static_cast<const double*>(values)[at];
+    default:
+        return static_cast<double>(static_cast<const float*>(values)[at]);
+    }
+}
+
+bool isOfFloats(AttributeType type)
+{
+    return type == AttributeType::kFloat || type == AttributeType::kVec3s || type == AttributeType::kMat3s;
+}
+
+// As a number of the type would be stored; beyond its range infinite.
+double stored(Real value, AttributeType type)
+{
+    const bool isFloat = isOfFloats(type);
+    const Real largest = isFloat ? std::numeric_limits<float>::max() : std::numeric_limits<double>::max();
+    if (std::fabs(value) > largest) return std::copysign(HUGE_VAL, static_cast<double>(value > 0 ? 1 : -1));
+    return isFloat ? static_cast<double>(static_cast<float>(value)) : static_cast<double>(value);
+}
+
+// The type of what an average is made of values of that type.
+AttributeType averageType(AttributeType type)
+{
+    return type == AttributeType::kInt32 || type == AttributeType::kInt64 ? AttributeType::kFloat : type;
+}
+
+// ---- what is claimed ------------------------------------------------------------------------------------------------
+
+enum class Measure {
+    kCount,
+    kDensity,
+    kMeanDistance,
+    kNearestDistance,
+    kNearest,
+    kAverage,
+    kNormal,
+    kEigenvalues,
+    kPca,
+    kCluster,
+    kClusterSize,
+    kIsolated,
+    kNonfinite
+};
+
+struct MeasureName {
+    const char* name;
+    Measure measure;
+    AttributeType type; // of those that are one attribute
+};
+constexpr MeasureName kMeasures[] = {{"count", Measure::kCount, AttributeType::kInt32},
+                                     {"density", Measure::kDensity, AttributeType::kFloat},
+                                     {"mean_distance", Measure::kMeanDistance, AttributeType::kFloat},
+                                     {"nearest_distance", Measure::kNearestDistance, AttributeType::kFloat},
+                                     {"nearest", Measure::kNearest, AttributeType::kInt32},
+                                     {"normal", Measure::kNormal, AttributeType::kVec3s},
+                                     {"eigenvalues", Measure::kEigenvalues, AttributeType::kVec3s},
+                                     {"pca", Measure::kPca, {}},
+                                     {"cluster", Measure::kCluster, AttributeType::kInt32},
+                                     {"cluster_size", Measure::kClusterSize, AttributeType::kInt32},
+                                     {"isolated", Measure::kIsolated, {}},
+                                     {"nonfinite", Measure::kNonfinite, {}}};
+
+// A measure and its values in the file.
+struct Claim {
+    Measure measure = Measure::kCount;
+    std::size_t finding = 0;                   // the first of its findings
+    PointAttribute attribute, xform, position; // the latter two of pca, whose `attribute` is the stretch
+    PointGroup group;
+    PointAttribute source; // of an average
+};
+
+// Finds claims in the values of a file, and refuses what cannot be compared.
+class ClaimReader {
+public:
+    ClaimReader(const MeasureClaims& claims, std::uint64_t queries, std::uint64_t candidates)
+        : mClaims(claims), mQueries(queries), mCandidates(candidates)
+    {
+    }
+
+    std::vector<Claim> read(std::vector<ValueFinding>& findings) const
+    {
+        std::vector<Claim> result;
+        for (const std::string& name : mClaims.names) {
+            Claim claim;
+            claim.finding = findings.size();
+            if (name.compare(0, kAverage.size(), kAverage) == 0) {
+                readAverage(name, claim);
+            } else {
+                readNamed(name, claim);
+            }
+            if (claim.measure == Measure::kPca) {
+                for (const char* part : {"stretch", "xform", "pws", "ellipsoids"})
+                    findings.push_back({part, 0, 0, 0, {}});
+            } else {
+                findings.push_back({name, 0, 0, 0, {}});
+            }
+            result.push_back(std::move(claim));
+        }
+        return result;
+    }
+
+private:
+    void readAverage(const std::string& name, Claim& claim) const
+    {
+        const std::string of = name.substr(kAverage.size());
+        const auto source = findNamed(mClaims.options.attributes, of);
+        if (source == mClaims.options.attributes.end())
+            throw InvalidInput("verify: the values of '" + of +
+                               "', of which averages are checked, are missing");
+        claim.measure = Measure::kAverage;
+        claim.source = *source;
+        claim.attribute = attribute(mClaims.options.prefix + name, averageType(source->type));
+    }
+
+    void readNamed(const std::string& name, Claim& claim) const
+    {
+        const auto* const known = std::find_if(std::begin(kMeasures), std::end(kMeasures),
+                                               [&](const MeasureName& m) { return name == m.name; });
+        if (known == std::end(kMeasures)) throw InvalidInput("verify: '" + name + "' is no measure");
+        claim.measure = known->measure;
+        const std::string inFile = mClaims.options.prefix + name;
+        switch (known->measure) {
+        case Measure::kPca:
+            claim.attribute = attribute("stretch", AttributeType::kVec3s);
+            claim.xform = attribute("xform", AttributeType::kMat3s);
+            claim.position = attribute("pws", AttributeType::kVec3d);
+            claim.group = group("ellipsoids");
+            break;
+        case Measure::kIsolated:
+        case Measure::kNonfinite:
+            claim.group = group(inFile);
+            break;
+        case Measure::kNearest:
+        case Measure::kCluster:
+        case Measure::kClusterSize: {
+            const bool isLarge = mCandidates > std::uint64_t(std::numeric_limits<std::int32_t>::max());
+            claim.attribute = attribute(inFile, isLarge ? AttributeType::kInt64 : AttributeType::kInt32);
+            break;
+        }
+        default:
+            claim.attribute = attribute(inFile, known->type);
+        }
+    }
+
+    PointAttribute attribute(const std::string& name, AttributeType type) const
+    {
+        const auto found = findNamed(mClaims.values.attributes, name);
+        if (found == mClaims.values.attributes.end())
+            throw InvalidInput(mClaims.path + ": has no attribute '" + name + "', which is to be checked");
+        if (found->type != type)
+            throw InputError(mClaims.path + ": '" + name + "' has type " + attributeTypeName(found->type) +
+                             "; expected is " + attributeTypeName(type));
+        checkCount(name, found->count);
+        return *found;
+    }
+
+    PointGroup group(const std::string& name) const
+    {
+        const auto found = findNamed(mClaims.values.groups, name);
+        if (found == mClaims.values.groups.end())
+            throw InvalidInput(mClaims.path + ": has no group '" + name + "', which is to be checked");
+        checkCount(name, found->count);
+        return *found;
+    }
+
+    void checkCount(const std::string& name, std::uint64_t count) const
+    {
+        if (count == mQueries) return;
+        throw InputError(mClaims.path + ": '" + name + "' has " + std::to_string(count) +
+                         " values, but there are " + std::to_string(mQueries) +
+                         " points; are these the attributes of this file?");
+    }
+
+    const MeasureClaims& mClaims;
+    std::uint64_t mQueries, mCandidates;
+};
+
+// ---- comparison -----------------------------------------------------------------------------------------------------
+
+// Keeps the first `most` examples by query.
+void keepExample(std::vector<ValueExample>& examples, ValueExample example, std::size_t most)
+{
+    const auto before = [](const ValueExample& a, const ValueExample& b) { return a.query < b.query; };
+    const auto place = std::upper_bound(examples.begin(), examples.end(), example, before);
+    if (examples.size() >= most && place == examples.end()) return;
+    examples.insert(place, std::move(example));
+    if (examples.size() > most) examples.pop_back();
+}
+
+class Comparison {
+public:
+    explicit Comparison(std::size_t maxExamples) : mMaxExamples(maxExamples) {}
+
+    void fail(ValueFinding& finding, ValueExample example) const
+    {
+        ++finding.count;
+        keepExample(finding.examples, std::move(example), mMaxExamples);
+    }
+
+    void compareInteger(ValueFinding& finding, std::uint64_t query, const PointAttribute& attribute,
+                        std::int64_t expected) const
+    {
+        ++finding.checked;
+        const double value = numberAt(attribute, query, 0), right = static_cast<double>(expected);
+        if (value != right) fail(finding, {query, 0, value, right, 0, {}});
+    }
+
+    void compareMember(ValueFinding& finding, std::uint64_t query, const PointGroup& group,
+                       bool expected) const
+    {
+        ++finding.checked;
+        const bool isMember = group.members.get()[query] != 0;
+        if (isMember != expected)
+            fail(finding, {query, 0, isMember ? 1.0 : 0.0, expected ? 1.0 : 0.0, 0, {}});
+    }
+
+    // Those that are not determined have to be finite.
+    void compareNumbers(ValueFinding& finding, std::uint64_t query, const PointAttribute& attribute,
+                        const ExpectedValue& expected) const
+    {
+        ++finding.checked;
+        finding.undetermined += !expected.isDetermined;
+        for (std::size_t k = 0; k < attributeWidth(attribute.type); ++k) {
+            const double value = numberAt(attribute, query, k);
+            if (!expected.isDetermined) {
+                if (std::isfinite(value)) continue;
+                return fail(finding, {query, k, value, std::nan(""), 0, "is not finite"});
+            }
+            const Real right = expected.value[k], bound = expected.bound[k];
+            if (value >= stored(right - bound, attribute.type) &&
+                value <= stored(right + bound, attribute.type))
+                continue;
+            return fail(finding,
+                        {query, k, value, static_cast<double>(right), static_cast<double>(bound), {}});
+        }
+    }
+
+private:
+    std::size_t mMaxExamples;
+};
+
+// Of `xform`: what is wrong with the nine numbers as a rotation, or nothing.
+std::optional<ValueExample> rotationFault(const std::array<double, 9>& m, std::uint64_t query)
+{
+    constexpr double kMost = 1e-5;
+    for (std::size_t a = 0; a < 3; ++a) {
+        for (std::size_t b = a; b < 3; ++b) {
+            double product = 0;
+            for (std::size_t row = 0; row < 3; ++row) product += m[3 * row + a] * m[3 * row + b];
+            const double right = a == b ? 1 : 0;
+            if (!(std::fabs(product - right) <= kMost))
+                return ValueExample{query, 3 * a + b, product, right, kMost, "is a product of two columns"};
+        }
+    }
+    const double determinant = m[0] * (m[4] * m[8] - m[5] * m[7]) - m[1] * (m[3] * m[8] - m[5] * m[6]) +
+                               m[2] * (m[3] * m[7] - m[4] * m[6]);
+    if (std::fabs(determinant - 1) <= kMost) return std::nullopt;
+    return ValueExample{query, 0, determinant, 1, kMost, "is the determinant"};
+}
+
+// Whether one component is larger than the others by far, and negative.
+bool hasWrongSign(const std::array<double, 9>& m, std::size_t column)
+{
+    std::array<double, 3> v{m[column], m[3 + column], m[6 + column]};
+    std::sort(v.begin(), v.end(), [](double a, double b) { return std::fabs(a) < std::fabs(b); });
+    return v[2] < 0 && std::fabs(v[2]) > std::fabs(v[1]) + 1e-4;
+}
+
+// What one task found. A query that is not in the file is not looked at.
+class MeasureChecker {
+public:
+    struct Shared {
+        const SearchJudge& judge;
+        const MeasureClaims& claims;
+        const std::vector<Claim>& list;
+        Comparison comparison;
+    };
+
+    MeasureChecker(const Shared& shared, std::vector<ValueFinding> findings)
+        : mShared(&shared), mOrder(shared.judge)
+    {
+        mReport.findings = std::move(findings);
+    }
+
+    void check(std::uint32_t query, const std::vector<std::uint32_t>& within)
+    {
+        const std::vector<std::uint8_t>& isThere = mShared->claims.isThere;
+        if (!isThere.empty() && !isThere[query]) return;
+        mRow = within;
+        const std::uint64_t nearest = mShared->judge.terms().nearest;
+        if (nearest > 0) mOrder.keepNearest(query, nearest, mRow);
+        ++mReport.queries;
+        mReport.expectedPairs += mRow.size();
+        const Neighborhood near = neighborhoodOf(mShared->judge, query, mRow);
+        for (const Claim& claim : mShared->list) checkClaim(claim, near);
+    }
+
+    void merge(const MeasureChecker& other)
+    {
+        mReport.queries += other.mReport.queries;
+        mReport.expectedPairs += other.mReport.expectedPairs;
+        mReport.exactPairs += other.mReport.exactPairs;
+        for (std::size_t k = 0; k < mReport.findings.size(); ++k) {
+            ValueFinding& own = mReport.findings[k];
+            const ValueFinding& more = other.mReport.findings[k];
+            own.checked += more.checked;
+            own.undetermined += more.undetermined;
+            own.count += more.count;
+            for (const ValueExample& example : more.examples) keep(own, example);
+        }
+    }
+
+    void countExactPairs(std::uint64_t pairs) { mReport.exactPairs += pairs; }
+
+    const MeasureReport& report() const { return mReport; }
+
+private:
+    void keep(ValueFinding& finding, const ValueExample& example) const
+    {
+        mShared->comparison.fail(finding, example);
+        --finding.count; // it is counted already
+    }
+
+    void checkClaim(const Claim& claim, const Neighborhood& near)
+    {
+        const SearchJudge& judge = mShared->judge;
+        const MeasureOptions& options = mShared->claims.options;
+        const Comparison& comparison = mShared->comparison;
+        ValueFinding& finding = mReport.findings[claim.finding];
+        const auto compare = [&](const ExpectedValue& expected) {
+            comparison.compareNumbers(finding, near.query, claim.attribute, expected);
+        };
+        switch (claim.measure) {
+        case Measure::kCount:
+            return comparison.compareInteger(finding, near.query, claim.attribute,
+                                             static_cast<std::int64_t>(near.neighbors.size()));
+        case Measure::kDensity:
+            return compare(expectedDensity(near, options));
+        case Measure::kMeanDistance:
+            return compare(expectedMeanDistance(near));
+        case Measure::kNearestDistance:
+            return compare(expectedNearestDistance(near));
+        case Measure::kNearest:
+            return comparison.compareInteger(finding, near.query, claim.attribute, nearestOf(near));
+        case Measure::kAverage:
+            return compare(average(claim.source, near));
+        case Measure::kNormal:
+            return checkNormal(claim, near, finding);
+        case Measure::kEigenvalues:
+            return compare(expectedEigenvalues(near, options));
+        case Measure::kPca:
+            return checkPca(claim, near);
+        case Measure::kIsolated:
+            return comparison.compareMember(finding, near.query, claim.group,
+                                            near.isQuery && near.neighbors.empty());
+        case Measure::kNonfinite:
+            return comparison.compareMember(finding, near.query, claim.group,
+                                            !judge.isFiniteQuery(near.query));
+        case Measure::kCluster:
+        case Measure::kClusterSize:
+            return; // of all points at once
+        }
+    }
+
+    std::int64_t nearestOf(const Neighborhood& near)
+    {
+        std::vector<std::uint32_t> row = mRow;
+        if (row.empty()) return -1;
+        mOrder.keepNearest(near.query, 1, row);
+        return row[0];
+    }
+
+    ExpectedValue average(const PointAttribute& source, const Neighborhood& near) const
+    {
+        const std::size_t width = attributeWidth(source.type);
+        return expectedAverage(near, mShared->claims.options, width,
+                               [&](std::uint32_t candidate, double* numbers) {
+                                   bool isFinite = true;
+                                   for (std::size_t k = 0; k < width; ++k) {
+                                       numbers[k] = numberAt(source, candidate, k);
+                                       isFinite &= std::isfinite(numbers[k]);
+                                   }
+                                   return isFinite;
+                               });
+    }
+
+    // One without a direction is 0, or of unit length.
+    void checkNormal(const Claim& claim, const Neighborhood& near, ValueFinding& finding) const
+    {
+        const ExpectedValue expected = expectedNormal(near, mShared->claims.options);
+        const std::uint64_t before = finding.count;
+        mShared->comparison.compareNumbers(finding, near.query, claim.attribute, expected);
+        if (expected.isDetermined || finding.count != before) return;
+        double length = 0;
+        for (std::size_t k = 0; k < 3; ++k)
+            length = std::hypot(length, numberAt(claim.attribute, near.query, k));
+        if (length == 0 || std::fabs(length - 1) <= 1e-6) return;
+        mShared->comparison.fail(finding, {near.query, 0, length, 1, 1e-6, "is the length"});
+    }
+
+    void checkPca(const Claim& claim, const Neighborhood& near)
+    {
+        const Comparison& comparison = mShared->comparison;
+        ValueFinding* const findings = &mReport.findings[claim.finding];
+        const ExpectedPca pca = expectedPca(near, mShared->claims.options.pca);
+        comparison.compareNumbers(findings[0], near.query, claim.attribute, pca.stretch);
+        checkXform(claim, near, pca, findings[1]);
+        if (mShared->judge.isFiniteQuery(near.query))
+            comparison.compareNumbers(findings[2], near.query, claim.position, pca.position);
+        comparison.compareMember(findings[3], near.query, claim.group, pca.isEllipsoid);
+    }
+
+    void checkXform(const Claim& claim, const Neighborhood& near, const ExpectedPca& pca,
+                    ValueFinding& finding) const
+    {
+        const Comparison& comparison = mShared->comparison;
+        std::array<double, 9> m{};
+        for (std::size_t k = 0; k < 9; ++k) m[k] = numberAt(claim.xform, near.query, k);
+        ++finding.checked;
+        if (!pca.isEllipsoid) {
+            for (std::size_t k = 0; k < 9; ++k) {
+                const double right = k % 4 == 0 ? 1 : 0;
+                if (m[k] != right) return comparison.fail(finding, {near.query, k, m[k], right, 0, {}});
+            }
+            return;
+        }
+        if (const auto fault = rotationFault(m, near.query)) return comparison.fail(finding, *fault);
+        bool isWhole = true;
+        for (std::size_t column = 0; column < 3; ++column) {
+            if (column < 2 && hasWrongSign(m, column)) {
+                return comparison.fail(finding, {near.query, column, m[column], 0, 0,
+                                                 "is in a column whose largest component is negative"});
+            }
+            isWhole &= pca.axisBound[column].has_value();
+            if (!pca.axisBound[column]) continue;
+            const Vector3& axis = pca.axes[column];
+            Real along = 0;
+            for (std::size_t row = 0; row < 3; ++row) along += axis[row] * m[3 * row + column];
+            const Real sign = along < 0 ? -1 : 1, bound = *pca.axisBound[column] + 0x1p-24L;
+            for (std::size_t row = 0; row < 3; ++row) {
+                const Real right = sign * axis[row];
+                const std::size_t k = 3 * row + column;
+                if (std::fabs(m[k] - right) <= bound) continue;
+                return comparison.fail(
+                    finding,
+                    {near.query, k, m[k], static_cast<double>(right), static_cast<double>(bound), {}});
+            }
+        }
+        finding.undetermined += !isWhole;
+    }
+
+    const Shared* mShared;
+    DistanceOrder mOrder;
+    MeasureReport mReport;
+    std::vector<std::uint32_t> mRow;
+};
+
+bool isOfClusters(const Claim& claim)
+{
+    return claim.measure == Measure::kCluster || claim.measure == Measure::kClusterSize;
+}
+
+// Those that the passes over rows leave out.
+void checkClusters(const MeasureChecker::Shared& shared, const ClusterLabels& clusters, MeasureReport& report)
+{
+    for (const Claim& claim : shared.list) {
+        if (!isOfClusters(claim)) continue;
+        const auto& expected = claim.measure == Measure::kCluster ? clusters.labels : clusters.sizes;
+        for (std::size_t i = 0; i < expected.size(); ++i) {
+            if (!shared.claims.isThere.empty() && !shared.claims.isThere[i]) continue;
+            shared.comparison.compareInteger(report.findings[claim.finding], i, claim.attribute, expected[i]);
+        }
+    }
+}
+
+void checkClaims(const SearchTerms& terms, const MeasureClaims& claims)
+{
+    const auto check = [&](std::uint64_t count, std::uint64_t points, const std::string& what) {
+        if (count == points) return;
+        throw InvalidInput("verify: " + std::to_string(count) + " " + what + " for " +
+                           std::to_string(points) + " points");
+    };
+    const std::uint64_t queries = terms.queries.view.size(), candidates = terms.candidates.view.size();
+    if (!claims.isThere.empty()) check(claims.isThere.size(), queries, "marks");
+    if (!claims.options.masses.empty()) check(claims.options.masses.size(), candidates, "masses");
+    for (const PointAttribute& attribute : claims.options.attributes)
+        check(attribute.count, candidates, "values of '" + attribute.name + "'");
+}
+
+} // namespace
+
+std::uint64_t MeasureReport::faultCount() const
+{
+    std::uint64_t count = 0;
+    for (const ValueFinding& finding : findings) count += finding.count;
+    return count;
+}
+
+MeasureReport verifyMeasures(const SearchTerms& terms, const MeasureClaims& claims,
+                             const VerifyOptions& options, Progress* progress)
+{
+    checkRadius(terms);
+    checkClaims(terms, claims);
+    const SearchJudge judge(terms);
+    std::vector<ValueFinding> findings;
+    const std::vector<Claim> list =
+        ClaimReader(claims, judge.queryCount(), judge.candidateCount()).read(findings);
+    const bool hasClusters = std::any_of(list.begin(), list.end(), isOfClusters);
+    if (hasClusters && (!terms.isOneSet() || !terms.queries.chosen.empty() ||
+                        !terms.candidates.chosen.empty() || terms.nearest > 0))
+        throw InvalidInput("verify: clusters are those of one set of points and of all pairs");
+    const MeasureChecker::Shared shared{judge, claims, list, Comparison(options.maxExamples)};
+    const double end = hasClusters ? 0.5 : 1;
+    MeasureReport report = RowPass<MeasureChecker>(judge, MeasureChecker(shared, findings))
+                               .run({options.sample, options.seed}, {progress, 0, end})
+                               .report();
+    if (hasClusters)
+        checkClusters(shared, findClusters(judge, claims.options.minNeighbors, progress, end, 1), report);
+    return report;
+}
+
+} // namespace vdb_nns::cli
