@@ -32,8 +32,8 @@ std::vector<std::string> measuresOf(const ResultFile& result, const MeasureTask&
             found.push_back(name + of);
     }
     if (!found.empty()) return found;
-    throw InvalidInput(task.result + ": has no measure, whose names begin with '" + task.flags.prefix +
-                       "'; search writes them (--attributes), and another beginning is named by --prefix");
+    throw InvalidInput(task.result + ": has no attribute of a measure: none begins with '" +
+                       task.flags.prefix + "' and the name of one (--prefix), and there are none of pca");
 }
 
 } // namespace
@@ -95,10 +95,10 @@ std::string faultsText(const MeasureReport& report)
         for (const ValueExample& example : finding.examples) {
             text += format("    %llu", static_cast<unsigned long long>(example.query));
             if (example.component > 0) text += format("[%zu]", example.component);
-            text += format(": %.9g", example.value);
+            text += ": " + shortest(example.value);
             if (!example.what.empty()) text += " " + example.what;
-            if (!std::isnan(example.expected))
-                text += format(", expected %.9g within %.2g", example.expected, example.bound);
+            if (!std::isnan(example.expected)) text += ", expected " + shortest(example.expected);
+            if (example.bound > 0) text += format(" within %.2g", example.bound);
             text += "\n";
         }
     }
