@@ -7,212 +7,326 @@
 namespace vdb_nns {
 namespace {
 
-// ---------------------------------------------------------------------------------------------- differences
+// ---------------------------------------------------------------------------------------------------- pairs
 
 constexpr std::uint32_t paddedPairs(std::uint32_t count)
 {
     return (count + static_cast<std::uint32_t>(kPairPad) - 1) & ~static_cast<std::uint32_t>(kPairPad - 1);
 }
 
+// Inlined by force: vectors that are returned would go over the stack.
+#define VDB_NNS_INLINE __attribute__((always_inline)) inline
+
+constexpr int kParts = static_cast<int>(kPairPad) / SimdD::kLanes;
+
+// A number for each of kPairPad pairs.
+struct EightDoubles {
+    SimdD::D part[kParts];
+};
+struct EightVectors {
+    EightDoubles axis[3];
+};
+
 #if defined(VDB_NNS_SIMD_AVX2) || defined(VDB_NNS_SIMD_AVX512)
 
-// A query, and its difference to a candidate: x y z and a lane that means nothing.
-template <PositionRecord kRecord>
-struct QueryPosition;
-
-template <>
-struct QueryPosition<PositionRecord::kFloats> {
-    using Record = FloatPosition;
-    __m256d at;
-    explicit QueryPosition(const Record& r) : at(_mm256_cvtps_pd(_mm_loadu_ps(&r.x))) {}
-    __m256d to(const Record& r) const { return _mm256_sub_pd(_mm256_cvtps_pd(_mm_loadu_ps(&r.x)), at); }
+struct EightFloats {
+    __m256 x, y, z, w;
 };
 
-template <>
-struct QueryPosition<PositionRecord::kDoubles> {
-    using Record = DoublePosition;
-    __m256d at;
-    explicit QueryPosition(const Record& r) : at(_mm256_loadu_pd(&r.x)) {}
-    __m256d to(const Record& r) const { return _mm256_sub_pd(_mm256_loadu_pd(&r.x), at); }
-};
-
-template <>
-struct QueryPosition<PositionRecord::kVoxels> {
-    using Record = VoxelPosition10;
-    __m256d offset;
-    __m128i voxel;
-    explicit QueryPosition(const Record& r)
-        : offset(offsetOf(_mm_loadu_ps(&r.x))), voxel(voxelOf(_mm_loadu_ps(&r.x)))
-    {
-    }
-    __m256d to(const Record& r) const
-    {
-        const __m128 record = _mm_loadu_ps(&r.x);
-        // Ten bits at the top: they wrap as the difference does.
-        const __m128i voxels = _mm_srai_epi32(_mm_sub_epi32(voxelOf(record), voxel), 22);
-        return _mm256_add_pd(_mm256_cvtepi32_pd(voxels), _mm256_sub_pd(offsetOf(record), offset));
-    }
-    static __m256d offsetOf(__m128 record)
-    {
-        return _mm256_cvtps_pd(_mm_blend_ps(record, _mm_setzero_ps(), 8)); // the packed voxel may be no float
-    }
-    static __m128i voxelOf(__m128 record)
-    {
-        const __m128i packed = _mm_shuffle_epi32(_mm_castps_si128(record), 0xff);
-        return _mm_and_si128(_mm_sllv_epi32(packed, _mm_setr_epi32(0, 10, 20, 32)),
-                             _mm_set1_epi32(static_cast<int>(0xffc00000u)));
-    }
-};
-
-template <>
-struct QueryPosition<PositionRecord::kWideVoxels> {
-    using Record = WideVoxelPosition;
-    __m256d offset;
-    __m128i voxel;
-    explicit QueryPosition(const Record& r)
-        : offset(_mm256_cvtps_pd(_mm_loadu_ps(r.offset))),
-          voxel(_mm_loadu_si128(reinterpret_cast<const __m128i*>(r.voxel)))
-    {
-    }
-    __m256d to(const Record& r) const
-    {
-        const __m128i other = _mm_loadu_si128(reinterpret_cast<const __m128i*>(r.voxel));
-        const __m256d voxels = _mm256_sub_pd(_mm256_cvtepi32_pd(other), _mm256_cvtepi32_pd(voxel)); // exact
-        return _mm256_add_pd(voxels, _mm256_sub_pd(_mm256_cvtps_pd(_mm_loadu_ps(r.offset)), offset));
-    }
-};
-
-template <PositionRecord kRecord>
-void differences(const void* query, const void* candidates, const std::uint32_t* numbers, std::uint32_t count,
-                 double* x, double* y, double* z)
+// Eight times four floats that begin `stride` floats apart.
+VDB_NNS_INLINE EightFloats eightFloats(const float* records, std::size_t stride, const std::uint32_t* n)
 {
-    using Query = QueryPosition<kRecord>;
-    using Record = typename Query::Record;
-    const Query q(*static_cast<const Record*>(query));
-    const Record* const records = static_cast<const Record*>(candidates);
-    const auto four = [&](std::uint32_t k, const std::uint32_t(&n)[4]) {
-        const __m256d a = q.to(records[n[0]]), b = q.to(records[n[1]]), c = q.to(records[n[2]]),
-                      d = q.to(records[n[3]]);
-        const __m256d xzAB = _mm256_unpacklo_pd(a, b), xzCD = _mm256_unpacklo_pd(c, d);
-        const __m256d yAB = _mm256_unpackhi_pd(a, b), yCD = _mm256_unpackhi_pd(c, d);
-        _mm256_storeu_pd(x + k, _mm256_permute2f128_pd(xzAB, xzCD, 0x20));
-        _mm256_storeu_pd(y + k, _mm256_permute2f128_pd(yAB, yCD, 0x20));
-        _mm256_storeu_pd(z + k, _mm256_permute2f128_pd(xzAB, xzCD, 0x31));
+    const auto two = [&](int low, int high) {
+        return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(records + stride * n[low])),
+                                    _mm_loadu_ps(records + stride * n[high]), 1);
     };
-    std::uint32_t k = 0;
-    for (; k + 4 <= count; k += 4) four(k, {numbers[k], numbers[k + 1], numbers[k + 2], numbers[k + 3]});
-    const std::uint32_t last = count - 1;
-    const auto at = [&](std::uint32_t i) { return numbers[i < last ? i : last]; };
-    for (; k < paddedPairs(count); k += 4) four(k, {at(k), at(k + 1), at(k + 2), at(k + 3)});
+    const __m256 a = two(0, 4), b = two(1, 5), c = two(2, 6), d = two(3, 7);
+    const __m256 xyAB = _mm256_unpacklo_ps(a, b), zwAB = _mm256_unpackhi_ps(a, b);
+    const __m256 xyCD = _mm256_unpacklo_ps(c, d), zwCD = _mm256_unpackhi_ps(c, d);
+    return {_mm256_shuffle_ps(xyAB, xyCD, 0x44), _mm256_shuffle_ps(xyAB, xyCD, 0xee),
+            _mm256_shuffle_ps(zwAB, zwCD, 0x44), _mm256_shuffle_ps(zwAB, zwCD, 0xee)};
+}
+
+VDB_NNS_INLINE EightDoubles doublesOf(__m256 v)
+{
+#if defined(VDB_NNS_SIMD_AVX512)
+    return {{_mm512_cvtps_pd(v)}};
+#else
+    return {{_mm256_cvtps_pd(_mm256_castps256_ps128(v)), _mm256_cvtps_pd(_mm256_extractf128_ps(v, 1))}};
+#endif
+}
+
+VDB_NNS_INLINE EightDoubles doublesOf(__m256i v)
+{
+#if defined(VDB_NNS_SIMD_AVX512)
+    return {{_mm512_cvtepi32_pd(v)}};
+#else
+    return {{_mm256_cvtepi32_pd(_mm256_castsi256_si128(v)),
+             _mm256_cvtepi32_pd(_mm256_extracti128_si256(v, 1))}};
+#endif
+}
+
+VDB_NNS_INLINE EightVectors eightVectors(const FloatPosition* records, const std::uint32_t* n)
+{
+    const EightFloats f = eightFloats(&records->x, 4, n);
+    return {{doublesOf(f.x), doublesOf(f.y), doublesOf(f.z)}};
+}
+
+VDB_NNS_INLINE EightVectors eightVectors(const DoublePosition* records, const std::uint32_t* n)
+{
+    EightVectors v;
+    __m256d part[3][2];
+    for (int half = 0; half < 2; ++half, n += 4) {
+        const __m256d a = _mm256_loadu_pd(&records[n[0]].x), b = _mm256_loadu_pd(&records[n[1]].x),
+                      c = _mm256_loadu_pd(&records[n[2]].x), d = _mm256_loadu_pd(&records[n[3]].x);
+        const __m256d xzAB = _mm256_unpacklo_pd(a, b), xzCD = _mm256_unpacklo_pd(c, d);
+        part[0][half] = _mm256_permute2f128_pd(xzAB, xzCD, 0x20);
+        part[2][half] = _mm256_permute2f128_pd(xzAB, xzCD, 0x31);
+        part[1][half] = _mm256_permute2f128_pd(_mm256_unpackhi_pd(a, b), _mm256_unpackhi_pd(c, d), 0x20);
+    }
+    for (int k = 0; k < 3; ++k) {
+#if defined(VDB_NNS_SIMD_AVX512)
+        v.axis[k].part[0] = _mm512_insertf64x4(_mm512_castpd256_pd512(part[k][0]), part[k][1], 1);
+#else
+        v.axis[k].part[0] = part[k][0];
+        v.axis[k].part[1] = part[k][1];
+#endif
+    }
+    return v;
+}
+
+VDB_NNS_INLINE __m256i topBits(__m256i packed, int axis)
+{
+    return _mm256_and_si256(_mm256_slli_epi32(packed, 10 * axis), _mm256_set1_epi32(static_cast<int>(0xffc00000u)));
+}
+
+// Voxels of eight records less that of the query: ten bits at the top wrap as the difference does.
+VDB_NNS_INLINE EightVectors voxelDifferences(const VoxelPosition10& query, __m256i packed)
+{
+    EightVectors v;
+    const __m256i from = _mm256_set1_epi32(static_cast<int>(query.voxel));
+    for (int k = 0; k < 3; ++k) {
+        v.axis[k] = doublesOf(
+            _mm256_srai_epi32(_mm256_sub_epi32(topBits(packed, k), topBits(from, k)), 22));
+    }
+    return v;
 }
 
 #else
 
-inline void takeDifference(const FloatPosition& a, const FloatPosition& b, double (&d)[3])
+template <typename Read>
+VDB_NNS_INLINE EightVectors eightBy(Read&& read)
 {
-    d[0] = static_cast<double>(b.x) - static_cast<double>(a.x);
-    d[1] = static_cast<double>(b.y) - static_cast<double>(a.y);
-    d[2] = static_cast<double>(b.z) - static_cast<double>(a.z);
-}
-inline void takeDifference(const DoublePosition& a, const DoublePosition& b, double (&d)[3])
-{
-    d[0] = b.x - a.x;
-    d[1] = b.y - a.y;
-    d[2] = b.z - a.z;
-}
-inline void takeDifference(const VoxelPosition10& a, const VoxelPosition10& b, double (&d)[3])
-{
-    constexpr std::uint32_t kTop = 0xffc00000u;
-    const float from[3] = {a.x, a.y, a.z}, to[3] = {b.x, b.y, b.z};
-    for (int c = 0; c < 3; ++c) {
-        const std::uint32_t top = (b.voxel << 10 * c & kTop) - (a.voxel << 10 * c & kTop);
-        d[c] = static_cast<double>(static_cast<std::int32_t>(top) >> 22) +
-               (static_cast<double>(to[c]) - static_cast<double>(from[c]));
-    }
-}
-inline void takeDifference(const WideVoxelPosition& a, const WideVoxelPosition& b, double (&d)[3])
-{
-    for (int c = 0; c < 3; ++c) {
-        d[c] = static_cast<double>(std::int64_t(b.voxel[c]) - a.voxel[c]) +
-               (static_cast<double>(b.offset[c]) - static_cast<double>(a.offset[c]));
-    }
-}
-
-template <PositionRecord kRecord>
-struct RecordOf;
-template <>
-struct RecordOf<PositionRecord::kFloats> {
-    using Type = FloatPosition;
-};
-template <>
-struct RecordOf<PositionRecord::kDoubles> {
-    using Type = DoublePosition;
-};
-template <>
-struct RecordOf<PositionRecord::kVoxels> {
-    using Type = VoxelPosition10;
-};
-template <>
-struct RecordOf<PositionRecord::kWideVoxels> {
-    using Type = WideVoxelPosition;
-};
-
-template <PositionRecord kRecord>
-void differences(const void* query, const void* candidates, const std::uint32_t* numbers, std::uint32_t count,
-                 double* x, double* y, double* z)
-{
-    using Record = typename RecordOf<kRecord>::Type;
-    const Record& from = *static_cast<const Record*>(query);
-    const Record* const records = static_cast<const Record*>(candidates);
-    for (std::uint32_t k = 0; k < paddedPairs(count); ++k) {
+    double lane[3][kPairPad];
+    for (std::size_t k = 0; k < kPairPad; ++k) {
         double d[3];
-        takeDifference(from, records[numbers[k < count ? k : count - 1]], d);
-        x[k] = d[0];
-        y[k] = d[1];
-        z[k] = d[2];
+        read(k, d);
+        for (int c = 0; c < 3; ++c) lane[c][k] = d[c];
     }
+    EightVectors v;
+    for (int c = 0; c < 3; ++c) {
+        for (int p = 0; p < kParts; ++p) v.axis[c].part[p] = SimdD::load(lane[c] + p * SimdD::kLanes);
+    }
+    return v;
+}
+
+template <typename Record> // x, y and z
+VDB_NNS_INLINE EightVectors eightVectors(const Record* records, const std::uint32_t* n)
+{
+    return eightBy([&](std::size_t k, double (&d)[3]) {
+        const Record& r = records[n[k]];
+        d[0] = static_cast<double>(r.x);
+        d[1] = static_cast<double>(r.y);
+        d[2] = static_cast<double>(r.z);
+    });
 }
 
 #endif
 
-template <PairMap::Kind kKind>
-void mapDifferences(const PairMap& map, std::size_t pairs, double* x, double* y, double* z, double* distance)
+VDB_NNS_INLINE EightVectors less(const EightVectors& a, const double (&b)[3])
+{
+    EightVectors v;
+    for (int c = 0; c < 3; ++c) {
+        for (int p = 0; p < kParts; ++p)
+            v.axis[c].part[p] = SimdD::sub(a.axis[c].part[p], SimdD::set(b[c]));
+    }
+    return v;
+}
+
+VDB_NNS_INLINE EightVectors sumOf(const EightVectors& a, const EightVectors& b)
+{
+    EightVectors v;
+    for (int c = 0; c < 3; ++c) {
+        for (int p = 0; p < kParts; ++p)
+            v.axis[c].part[p] = SimdD::add(a.axis[c].part[p], b.axis[c].part[p]);
+    }
+    return v;
+}
+
+// Candidate less query, of eight candidates.
+VDB_NNS_INLINE EightVectors eightDifferences(const FloatPosition& query, const FloatPosition* records,
+                                     const std::uint32_t* n)
+{
+    const double from[3] = {static_cast<double>(query.x), static_cast<double>(query.y),
+                            static_cast<double>(query.z)};
+    return less(eightVectors(records, n), from);
+}
+
+VDB_NNS_INLINE EightVectors eightDifferences(const DoublePosition& query, const DoublePosition* records,
+                                     const std::uint32_t* n)
+{
+    const double from[3] = {query.x, query.y, query.z};
+    return less(eightVectors(records, n), from);
+}
+
+VDB_NNS_INLINE EightVectors eightDifferences(const VoxelPosition10& query, const VoxelPosition10* records,
+                                     const std::uint32_t* n)
+{
+    const double from[3] = {static_cast<double>(query.x), static_cast<double>(query.y),
+                            static_cast<double>(query.z)};
+#if defined(VDB_NNS_SIMD_AVX2) || defined(VDB_NNS_SIMD_AVX512)
+    const EightFloats f = eightFloats(&records->x, 4, n);
+    const EightVectors offsets = less({{doublesOf(f.x), doublesOf(f.y), doublesOf(f.z)}}, from);
+    return sumOf(voxelDifferences(query, _mm256_castps_si256(f.w)), offsets);
+#else
+    constexpr std::uint32_t kTop = 0xffc00000u;
+    const EightVectors voxels = eightBy([&](std::size_t k, double (&d)[3]) {
+        for (int c = 0; c < 3; ++c) {
+            const std::uint32_t top =
+                (records[n[k]].voxel << 10 * c & kTop) - (query.voxel << 10 * c & kTop);
+            d[c] = static_cast<double>(static_cast<std::int32_t>(top) >> 22);
+        }
+    });
+    return sumOf(voxels, less(eightVectors(records, n), from));
+#endif
+}
+
+VDB_NNS_INLINE EightVectors eightDifferences(const WideVoxelPosition& query, const WideVoxelPosition* records,
+                                     const std::uint32_t* n)
+{
+    double voxel[3], offset[3];
+    for (int c = 0; c < 3; ++c) {
+        voxel[c] = query.voxel[c];
+        offset[c] = static_cast<double>(query.offset[c]);
+    }
+#if defined(VDB_NNS_SIMD_AVX2) || defined(VDB_NNS_SIMD_AVX512)
+    const EightFloats v = eightFloats(reinterpret_cast<const float*>(records->voxel), 8, n);
+    const EightFloats f = eightFloats(records->offset, 8, n);
+    const auto integers = [](__m256 bits) { return doublesOf(_mm256_castps_si256(bits)); };
+    return sumOf(less({{integers(v.x), integers(v.y), integers(v.z)}}, voxel),
+                 less({{doublesOf(f.x), doublesOf(f.y), doublesOf(f.z)}}, offset));
+#else
+    const EightVectors voxels = eightBy([&](std::size_t k, double (&d)[3]) {
+        for (int c = 0; c < 3; ++c) d[c] = records[n[k]].voxel[c];
+    });
+    const EightVectors offsets = eightBy([&](std::size_t k, double (&d)[3]) {
+        for (int c = 0; c < 3; ++c) d[c] = static_cast<double>(records[n[k]].offset[c]);
+    });
+    return sumOf(less(voxels, voxel), less(offsets, offset));
+#endif
+}
+
+VDB_NNS_INLINE void storeEight(double* to, const EightDoubles& v)
+{
+    for (int p = 0; p < kParts; ++p) SimdD::store(to + p * SimdD::kLanes, v.part[p]);
+}
+
+// 0 < count < kPairPad numbers, and the last of them again as often as it takes.
+inline void lastNumbers(const std::uint32_t* numbers, std::uint32_t count, std::uint32_t* out)
+{
+#if defined(VDB_NNS_SIMD_AVX2) || defined(VDB_NNS_SIMD_AVX512)
+    const __m256i wanted = _mm256_cmpgt_epi32(_mm256_set1_epi32(static_cast<int>(count)),
+                                              _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7));
+    const __m256i taken = _mm256_maskload_epi32(reinterpret_cast<const int*>(numbers), wanted);
+    const __m256i last = _mm256_set1_epi32(static_cast<int>(numbers[count - 1]));
+    _mm256_storeu_si256(reinterpret_cast<__m256i*>(out), _mm256_blendv_epi8(last, taken, wanted));
+#else
+    for (std::uint32_t i = 0; i < kPairPad; ++i) out[i] = numbers[i < count ? i : count - 1];
+#endif
+}
+
+template <typename Record, PairMap::Kind kKind, bool kVectors>
+void makePairs(const Record& query, const Record* records, const PairMap& map, const std::uint32_t* numbers,
+               std::uint32_t count, double* x, double* y, double* z, double* distance)
 {
     using S = SimdD;
-    S::D m[3][3];
-    for (int r = 0; r < 3; ++r) {
-        for (int c = 0; c < 3; ++c) m[r][c] = S::set(map.m[r][c]);
-    }
-    for (std::size_t k = 0; k < pairs; k += S::kLanes) {
-        const S::D d[3] = {S::load(x + k), S::load(y + k), S::load(z + k)};
-        S::D w[3] = {d[0], d[1], d[2]};
-        for (int r = 0; r < 3; ++r) {
-            if (kKind == PairMap::Kind::kDiagonal) w[r] = S::mul(m[r][r], d[r]);
-            if (kKind == PairMap::Kind::kGeneral) {
-                w[r] = S::add(S::add(S::mul(m[r][0], d[0]), S::mul(m[r][1], d[1])), S::mul(m[r][2], d[2]));
+    const auto eight = [&](std::uint32_t k, const std::uint32_t* n) __attribute__((always_inline)) {
+        const EightVectors d = eightDifferences(query, records, n);
+        EightVectors w = d;
+        EightDoubles length;
+        for (int p = 0; p < kParts; ++p) {
+            for (int r = 0; r < 3; ++r) {
+                S::D& to = w.axis[r].part[p];
+                if (kKind == PairMap::Kind::kDiagonal) to = S::mul(S::set(map.m[r][r]), to);
+                if (kKind == PairMap::Kind::kGeneral) {
+                    to = S::add(S::add(S::mul(S::set(map.m[r][0]), d.axis[0].part[p]),
+                                       S::mul(S::set(map.m[r][1]), d.axis[1].part[p])),
+                                S::mul(S::set(map.m[r][2]), d.axis[2].part[p]));
+                }
             }
+            const S::D wx = w.axis[0].part[p], wy = w.axis[1].part[p], wz = w.axis[2].part[p];
+            length.part[p] = S::sqrt(S::add(S::add(S::mul(wx, wx), S::mul(wy, wy)), S::mul(wz, wz)));
         }
-        if (kKind != PairMap::Kind::kIdentity) {
-            S::store(x + k, w[0]);
-            S::store(y + k, w[1]);
-            S::store(z + k, w[2]);
+        if (kVectors) {
+            storeEight(x + k, w.axis[0]);
+            storeEight(y + k, w.axis[1]);
+            storeEight(z + k, w.axis[2]);
         }
-        const S::D square = S::add(S::add(S::mul(w[0], w[0]), S::mul(w[1], w[1])), S::mul(w[2], w[2]));
-        S::store(distance + k, S::sqrt(square));
+        storeEight(distance + k, length);
+    };
+    std::uint32_t k = 0;
+    for (; k + kPairPad <= count; k += kPairPad) eight(k, numbers + k);
+    if (k == count) return;
+    std::uint32_t last[kPairPad];
+    lastNumbers(numbers + k, count - k, last);
+    eight(k, last);
+}
+
+template <typename Record, PairMap::Kind kKind>
+void makePairsOf(const Record& query, const Record* records, const PairMap& map, const std::uint32_t* numbers,
+                 std::uint32_t count, double* x, double* y, double* z, double* distance)
+{
+    if (x) {
+        makePairs<Record, kKind, true>(query, records, map, numbers, count, x, y, z, distance);
+    } else {
+        makePairs<Record, kKind, false>(query, records, map, numbers, count, x, y, z, distance);
     }
 }
 
-inline void distances(const PairMap& map, std::size_t pairs, double* x, double* y, double* z,
-                      double* distance)
+template <typename Record>
+void pairs(const void* query, const void* candidates, const PairMap& map, const std::uint32_t* numbers,
+           std::uint32_t count, double* x, double* y, double* z, double* distance)
 {
+    using Kind = PairMap::Kind;
+    const Record& from = *static_cast<const Record*>(query);
+    const Record* const records = static_cast<const Record*>(candidates);
     switch (map.kind) {
-    case PairMap::Kind::kIdentity:
-        return mapDifferences<PairMap::Kind::kIdentity>(map, pairs, x, y, z, distance);
-    case PairMap::Kind::kDiagonal:
-        return mapDifferences<PairMap::Kind::kDiagonal>(map, pairs, x, y, z, distance);
-    case PairMap::Kind::kGeneral:
-        return mapDifferences<PairMap::Kind::kGeneral>(map, pairs, x, y, z, distance);
+    case Kind::kIdentity:
+        return makePairsOf<Record, Kind::kIdentity>(from, records, map, numbers, count, x, y, z, distance);
+    case Kind::kDiagonal:
+        return makePairsOf<Record, Kind::kDiagonal>(from, records, map, numbers, count, x, y, z, distance);
+    case Kind::kGeneral:
+        return makePairsOf<Record, Kind::kGeneral>(from, records, map, numbers, count, x, y, z, distance);
     }
+}
+
+template <typename Record>
+void vectors(const void* values, const std::uint32_t* numbers, std::size_t count, double* x, double* y,
+             double* z)
+{
+    for (std::size_t k = 0; k < count; k += kPairPad) {
+        const EightVectors v = eightVectors(static_cast<const Record*>(values), numbers + k);
+        storeEight(x + k, v.axis[0]);
+        storeEight(y + k, v.axis[1]);
+        storeEight(z + k, v.axis[2]);
+    }
+}
+
+template <typename Real>
+void scalars(const void* values, const std::uint32_t* numbers, std::size_t count, double* out)
+{
+    for (std::size_t k = 0; k < count; ++k)
+        out[k] = static_cast<double>(static_cast<const Real*>(values)[numbers[k]]);
 }
 
 // -------------------------------------------------------------------------------------------------- weights
@@ -240,46 +354,7 @@ SimdD::D weightOf(SimdD::D q)
     return one;
 }
 
-template <PairWeight kWeight>
-void weigh(std::size_t pairs, const double* distance, const double* inverse, std::size_t inverseStep,
-           const double* valid, double* out)
-{
-    using S = SimdD;
-    const S::D first = S::set(inverse[0]);
-    for (std::size_t k = 0; k < pairs; k += S::kLanes) {
-        const S::D by = inverseStep == 0 ? first : S::load(inverse + k);
-        const S::D q = S::min(S::mul(S::load(distance + k), by), S::set(1));
-        S::store(out + k, S::mul(weightOf<kWeight>(q), S::load(valid + k)));
-    }
-}
-
-inline void weights(PairWeight weight, std::size_t pairs, const double* distance, const double* inverse,
-                    std::size_t inverseStep, const double* valid, double* out)
-{
-    switch (weight) {
-    case PairWeight::kCubic:
-        return weigh<PairWeight::kCubic>(pairs, distance, inverse, inverseStep, valid, out);
-    case PairWeight::kWendland2:
-        return weigh<PairWeight::kWendland2>(pairs, distance, inverse, inverseStep, valid, out);
-    case PairWeight::kPoly6:
-        return weigh<PairWeight::kPoly6>(pairs, distance, inverse, inverseStep, valid, out);
-    case PairWeight::kTophat:
-        return weigh<PairWeight::kTophat>(pairs, distance, inverse, inverseStep, valid, out);
-    case PairWeight::kPca:
-        return weigh<PairWeight::kPca>(pairs, distance, inverse, inverseStep, valid, out);
-    }
-}
-
 // ----------------------------------------------------------------------------------------------------- sums
-
-inline double greatestLane(SimdD::D v)
-{
-    double lane[SimdD::kLanes];
-    SimdD::store(lane, v);
-    double greatest = lane[0];
-    for (int i = 1; i < SimdD::kLanes; ++i) greatest = lane[i] > greatest ? lane[i] : greatest;
-    return greatest;
-}
 
 // What brings the terms of a row to integers. 1.5 * 2^52 + an integer below 2^51 has the integer as its lowest bits.
 struct IntegerScale {
@@ -328,10 +403,7 @@ public:
     // After so many terms, pads included.
     double value(const IntegerScale& scale, std::uint32_t terms) const
     {
-        std::uint64_t lane[SimdD::kLanes], sum = 0;
-        SimdD::storeBits(lane, mSum);
-        for (const std::uint64_t part : lane) sum += part;
-        sum -= terms * IntegerScale::kShiftBits;
+        const std::uint64_t sum = SimdD::sum(mSum) - terms * IntegerScale::kShiftBits;
         return static_cast<double>(static_cast<std::int64_t>(sum)) * scale.inverse;
     }
 
@@ -347,8 +419,8 @@ double sumOfRow(std::uint32_t begin, std::uint32_t count, Term&& term)
     const std::uint32_t end = begin + paddedPairs(count);
     S::D greatest = S::set(0);
     for (std::uint32_t k = begin; k < end; k += S::kLanes) greatest = S::max(greatest, S::abs(term(k)));
-    const IntegerScale scale(greatestLane(greatest), count);
-    if (!scale.isFinite) return greatestLane(greatest);
+    const IntegerScale scale(S::greatest(greatest), count);
+    if (!scale.isFinite) return S::greatest(greatest);
     IntegerSum sum(S::set(scale.scale));
     for (std::uint32_t k = begin; k < end; k += S::kLanes) sum.add(term(k));
     return sum.value(scale, end - begin);
@@ -368,17 +440,20 @@ inline void sums(const PairRows& rows, const double* weight, const double* facto
 }
 
 inline void vectorSums(const PairRows& rows, const double* weight, const double* x, const double* y,
-                       const double* z, const double* distance, double* out)
+                       const double* z, double* out)
 {
     using S = SimdD;
     for (std::size_t r = 0; r < rows.rows; ++r, out += 3) {
         const std::uint32_t begin = rows.begin[r], end = begin + paddedPairs(rows.count[r]);
         S::D greatest = S::set(0);
-        for (std::uint32_t k = begin; k < end; k += S::kLanes)
-            greatest = S::max(greatest, S::mul(S::load(weight + k), S::load(distance + k)));
-        const IntegerScale scale(greatestLane(greatest), rows.count[r]);
+        for (std::uint32_t k = begin; k < end; k += S::kLanes) {
+            const S::D largest = S::max(S::max(S::abs(S::load(x + k)), S::abs(S::load(y + k))),
+                                        S::abs(S::load(z + k)));
+            greatest = S::max(greatest, S::mul(S::load(weight + k), largest));
+        }
+        const IntegerScale scale(S::greatest(greatest), rows.count[r]);
         if (!scale.isFinite) {
-            out[0] = out[1] = out[2] = greatestLane(greatest);
+            out[0] = out[1] = out[2] = S::greatest(greatest);
             continue;
         }
         const S::D by = S::set(scale.scale);
@@ -410,9 +485,9 @@ inline void momentSums(const PairRows& rows, const double* weight, const double*
             greatest = S::max(greatest, S::mul(S::load(weight + k), square));
         }
         // Each product is at most the square, and its roundings are far below the bits that are left.
-        const IntegerScale scale(greatestLane(greatest), rows.count[r]);
+        const IntegerScale scale(S::greatest(greatest), rows.count[r]);
         if (!scale.isFinite) {
-            for (int p = 0; p < 6; ++p) out[p] = greatestLane(greatest);
+            for (int p = 0; p < 6; ++p) out[p] = S::greatest(greatest);
             continue;
         }
         const S::D by = S::set(scale.scale);
@@ -434,16 +509,63 @@ inline void momentSums(const PairRows& rows, const double* weight, const double*
     }
 }
 
-inline void least(const PairRows& rows, const double* distance, double* out)
+template <PairWeight kWeight>
+double weigh(std::uint32_t pairs, const double* distance, const double* inverse, std::size_t inverseStep,
+             double most, double* out)
 {
     using S = SimdD;
-    for (std::size_t r = 0; r < rows.rows; ++r) {
-        const std::uint32_t begin = rows.begin[r], end = begin + paddedPairs(rows.count[r]);
-        S::D nearest = S::set(__builtin_inf());
-        for (std::uint32_t k = begin; k < end; k += S::kLanes)
-            nearest = S::min(nearest, S::load(distance + k));    // pads repeat the last pair
-        out[r] = 0.0 - greatestLane(S::sub(S::set(0), nearest)); // never a negative zero
+    const std::uint32_t end = paddedPairs(pairs);
+    const S::D first = S::set(inverse[0]);
+    S::D greatest = S::set(most);
+    for (std::uint32_t k = 0; k < end; k += S::kLanes) {
+        const S::D by = inverseStep == 0 ? first : S::load(inverse + k);
+        const S::D q = S::min(S::mul(S::load(distance + k), by), S::set(1));
+        const S::D weight = S::first(weightOf<kWeight>(q), std::ptrdiff_t(pairs) - std::ptrdiff_t(k));
+        S::store(out + k, weight);
+        greatest = S::max(greatest, weight);
     }
+    const IntegerScale scale(most > 0 ? most : S::greatest(greatest), pairs);
+    IntegerSum sum(S::set(scale.scale));
+    for (std::uint32_t k = 0; k < end; k += S::kLanes) sum.add(S::load(out + k));
+    return sum.value(scale, end);
+}
+
+inline double weights(PairWeight weight, std::uint32_t pairs, const double* distance, const double* inverse,
+                      std::size_t inverseStep, double greatest, double* out)
+{
+    switch (weight) {
+    case PairWeight::kCubic:
+        return weigh<PairWeight::kCubic>(pairs, distance, inverse, inverseStep, greatest, out);
+    case PairWeight::kWendland2:
+        return weigh<PairWeight::kWendland2>(pairs, distance, inverse, inverseStep, greatest, out);
+    case PairWeight::kPoly6:
+        return weigh<PairWeight::kPoly6>(pairs, distance, inverse, inverseStep, greatest, out);
+    case PairWeight::kTophat:
+        return weigh<PairWeight::kTophat>(pairs, distance, inverse, inverseStep, greatest, out);
+    case PairWeight::kPca:
+        break;
+    }
+    return weigh<PairWeight::kPca>(pairs, distance, inverse, inverseStep, greatest, out);
+}
+
+inline RowDistances rowDistances(std::uint32_t pairs, const double* distance)
+{
+    using S = SimdD;
+    const std::uint32_t end = paddedPairs(pairs);
+    S::D greatest = S::set(0), least = S::set(__builtin_inf());
+    for (std::uint32_t k = 0; k < end; k += S::kLanes) { // pads repeat the last pair
+        const S::D d = S::load(distance + k);
+        greatest = S::max(greatest, d);
+        least = S::min(least, d);
+    }
+    const double most = S::greatest(greatest);
+    const double nearest = 0.0 - S::greatest(S::sub(S::set(0), least)); // never a negative zero
+    const IntegerScale scale(most, pairs);
+    if (!scale.isFinite) return {most, nearest};
+    IntegerSum sum(S::set(scale.scale));
+    for (std::uint32_t k = 0; k < end; k += S::kLanes)
+        sum.add(S::first(S::load(distance + k), std::ptrdiff_t(pairs) - std::ptrdiff_t(k)));
+    return {sum.value(scale, end), nearest};
 }
 
 // ----------------------------------------------------------------------------------------------------- eigen
@@ -505,15 +627,17 @@ inline void eigen(const double* matrices, std::size_t count, double* out)
     }
 }
 
+#undef VDB_NNS_INLINE
+
 constexpr MeasureKernels kMeasureKernels = {
-    {differences<PositionRecord::kFloats>, differences<PositionRecord::kDoubles>,
-     differences<PositionRecord::kVoxels>, differences<PositionRecord::kWideVoxels>},
-    distances,
+    {pairs<FloatPosition>, pairs<DoublePosition>, pairs<VoxelPosition10>, pairs<WideVoxelPosition>},
+    {vectors<FloatPosition>, vectors<DoublePosition>},
+    {scalars<float>, scalars<double>},
     weights,
+    rowDistances,
     sums,
     vectorSums,
     momentSums,
-    least,
     eigen};
 
 } // namespace

@@ -2,7 +2,7 @@
 // Plain data between src/measure and measure_rows-inl.h, which is compiled once for each instruction set.
 //
 //   row of query 0         row of query 1         ...       each begins at a multiple of kPairPad; pairs behind its last
-//   [pair pair ... pad]    [pair pad pad ...]               one, up to the next row, repeat that and are not valid
+//   [pair pair ... pad]    [pair pad pad ...]               one, up to the next row, repeat its distance, with a weight of 0
 //
 // Sums over a row do not depend on the order of its pairs, nor on the instruction set: they are sums of integers. The largest
 // magnitude of a row's terms is below 2^e; each term is multiplied by 2^(b-e) and rounded to the nearest integer, with b = 50, or
@@ -48,28 +48,40 @@ struct WideVoxelPosition {
     float offset[4];
 };
 
-// Writes candidate less query for each of `count` candidates, at least one, and for the pads behind them: the voxel difference,
-// exact, plus the difference of the offsets in double.
-using DifferencesFunction = void (*)(const void* query, const void* candidates, const std::uint32_t* numbers,
-                                     std::uint32_t count, double* x, double* y, double* z);
-
 // From differences to world space: ((m0 x + m1 y) + m2 z) of each row of a matrix.
 struct PairMap {
     enum class Kind : std::uint8_t { kIdentity, kDiagonal, kGeneral } kind;
     double m[3][3];
 };
 
-// Maps the differences, and writes the distances, sqrt((x x + y y) + z z).
-using DistancesFunction = void (*)(const PairMap& map, std::size_t pairs, double* x, double* y, double* z,
-                                   double* distance);
+// For each of `count` candidates, at least one, and for the pads behind them: candidate less query, the voxel difference, exact,
+// plus the difference of the offsets in double, then the map; and the distance, sqrt((x x + y y) + z z). Vectors are not written
+// where `x` is null.
+using PairsFunction = void (*)(const void* query, const void* candidates, const PairMap& map,
+                               const std::uint32_t* numbers, std::uint32_t count, double* x, double* y,
+                               double* z, double* distance);
+
+// Vectors of so many candidates, a multiple of kPairPad, from FloatPosition or DoublePosition.
+using VectorsFunction = void (*)(const void* values, const std::uint32_t* numbers, std::size_t count,
+                                 double* x, double* y, double* z);
+// Numbers likewise, from float or double.
+using ScalarsFunction = void (*)(const void* values, const std::uint32_t* numbers, std::size_t count,
+                                 double* out);
 
 // Weights by q = min(distance / radius, 1), 1 at 0: SmoothingKernel without its constant, and that of points::pca.
 enum class PairWeight : std::uint8_t { kCubic, kWendland2, kPoly6, kTophat, kPca };
 
-// `inverse`: of the radius of each pair; where `inverseStep` is 0, of all. `valid`: 1, or 0 for pads, which weigh nothing.
-using WeightsFunction = void (*)(PairWeight weight, std::size_t pairs, const double* distance,
-                                 const double* inverse, std::size_t inverseStep, const double* valid,
-                                 double* out);
+// Writes the weights of the pairs of a row, 0 to pads, and returns their sum. `inverse`: of the radius of each pair; where
+// `inverseStep` is 0, of all. `greatest`: a power of two that no weight passes, for the scale of the sum; 0: the row's own.
+using WeightsFunction = double (*)(PairWeight weight, std::uint32_t pairs, const double* distance,
+                                   const double* inverse, std::size_t inverseStep, double greatest,
+                                   double* out);
+
+// The sum of the distances of a row, and the least.
+struct RowDistances {
+    double sum, least;
+};
+using RowDistancesFunction = RowDistances (*)(std::uint32_t pairs, const double* distance);
 
 struct PairRows {
     const std::uint32_t* begin; // first pair
@@ -77,19 +89,18 @@ struct PairRows {
     std::size_t rows;
 };
 
+// Sums take pads for pairs: their weight has to be 0.
+//
 // For each row sum(weight factor), or sum(weight) where there is no factor.
 using SumsFunction = void (*)(const PairRows& rows, const double* weight, const double* factor, double* out);
 
-// For each row the three sums of weight times x, y and z, one after the other.
+// For each row the three sums of weight times x, y and z, one after the other, at one scale.
 using VectorSumsFunction = void (*)(const PairRows& rows, const double* weight, const double* x,
-                                    const double* y, const double* z, const double* distance, double* out);
+                                    const double* y, const double* z, double* out);
 
 // For each row sum(weight (v - c) (v - c)^T), c its `centers`, three numbers each: xx, yy, zz, xy, xz, yz.
 using MomentSumsFunction = void (*)(const PairRows& rows, const double* weight, const double* x,
                                     const double* y, const double* z, const double* centers, double* out);
-
-// For each row the least distance; infinity for one without pairs.
-using LeastFunction = void (*)(const PairRows& rows, const double* distance, double* out);
 
 // Eigenvalues and eigenvectors of symmetric matrices, as six sweeps of cyclic Jacobi rotations leave them, unordered.
 // `matrices`: as MomentSumsFunction writes them. `out`: for each three values, then the x of the three vectors, their y, their z.
@@ -98,13 +109,14 @@ using EigenFunction = void (*)(const double* matrices, std::size_t count, double
 constexpr std::size_t kEigenNumbers = 12;
 
 struct MeasureKernels {
-    DifferencesFunction differences[kPositionRecords];
-    DistancesFunction distances;
+    PairsFunction pairs[kPositionRecords];
+    VectorsFunction vectors[2]; // of floats, of doubles
+    ScalarsFunction scalars[2];
     WeightsFunction weights;
+    RowDistancesFunction rowDistances;
     SumsFunction sums;
     VectorSumsFunction vectorSums;
     MomentSumsFunction momentSums;
-    LeastFunction least;
     EigenFunction eigen;
 };
 

@@ -3,6 +3,7 @@
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
 
+#include <new>
 #include <utility>
 
 namespace vdb_nns {
@@ -39,14 +40,6 @@ std::uint32_t Components::unite(std::uint32_t a, std::uint32_t b)
         if (a > b) std::swap(a, b);
         std::uint32_t alone = b;
         if (parent(b).compare_exchange_strong(alone, a, std::memory_order_relaxed)) return a;
-    }
-}
-
-void Components::unite(std::uint32_t a, const std::uint32_t* with, std::uint32_t count)
-{
-    std::uint32_t root = find(a);
-    for (std::uint32_t k = 0; k < count; ++k) {
-        if (parent(with[k]).load(std::memory_order_relaxed) != root) root = unite(root, with[k]);
     }
 }
 

@@ -7,7 +7,6 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
-#include <vector>
 
 namespace vdb_nns {
 
@@ -16,10 +15,19 @@ public:
     // Each of so many numbers alone. 4 bytes a number.
     explicit Components(std::size_t count);
 
-    // Thread-safe. `with` are joined with `a`; those already known to be with it cost a look.
-    void unite(std::uint32_t a, const std::uint32_t* with, std::uint32_t count);
+    // Joins `a` with those numbers that are `wanted`; ones already known to be with it cost a look. Thread-safe.
+    template <typename Wanted>
+    void unite(std::uint32_t a, const std::uint32_t* with, std::uint32_t count, Wanted&& wanted)
+    {
+        std::uint32_t root = find(a);
+        for (std::uint32_t k = 0; k < count; ++k) {
+            const std::uint32_t b = with[k];
+            if (wanted(b) && parent(b).load(std::memory_order_relaxed) != root) root = unite(root, b);
+        }
+    }
     // Root of a component. Thread-safe.
     std::uint32_t find(std::uint32_t a);
+    bool isRoot(std::uint32_t a) { return parent(a).load(std::memory_order_relaxed) == a; }
 
 private:
     using Parent = std::atomic<std::uint32_t>;
@@ -31,13 +39,6 @@ private:
 
     PageBlock mMemory;
     Parent* mParents;
-};
-
-// Labels of clusters and how many are in each.
-struct ClusterLabels {
-    std::vector<std::uint32_t> label; // by number; kNoCluster
-    std::vector<std::uint32_t> size;  // by label
-    static constexpr std::uint32_t kNoCluster = 0xffffffffu;
 };
 
 } // namespace vdb_nns

@@ -43,26 +43,28 @@ void forEachChunk(std::size_t count, const CancelCheck& cancel, F&& f)
 
 // ----------------------------------------------------------------------------------------------- attributes
 
-// The numbers of an attribute as doubles, and which of its values are finite.
-class DoubleValues {
+// The numbers of an attribute as kernels read them, and which of its values are finite.
+class AveragedValues {
 public:
-    DoubleValues(const PointAttribute& attribute, const CancelCheck& cancel)
+    AveragedValues(const PointAttribute& attribute, const CancelCheck& cancel)
+        : mCount(static_cast<std::size_t>(attribute.count)), mCancel(cancel)
     {
-        const std::size_t width = attributeWidth(attribute.type);
+        mView.isVector = attributeWidth(attribute.type) == 3;
+        const void* const from = attribute.values.get();
         switch (attribute.type) {
         case AttributeType::kFloat:
         case AttributeType::kVec3s:
-            read<float>(attribute, width, cancel);
+            read<float>(static_cast<const float*>(from));
             break;
         case AttributeType::kDouble:
         case AttributeType::kVec3d:
-            read<double>(attribute, width, cancel);
+            read<double>(static_cast<const double*>(from));
             break;
         case AttributeType::kInt32:
-            read<std::int32_t>(attribute, width, cancel);
+            read<double>(static_cast<const std::int32_t*>(from));
             break;
         case AttributeType::kInt64:
-            read<std::int64_t>(attribute, width, cancel);
+            read<double>(static_cast<const std::int64_t*>(from));
             break;
         case AttributeType::kMat3s:
             break; // averageType() refuses it
@@ -73,43 +75,43 @@ public:
     std::uint64_t skipped() const { return mSkipped; }
 
 private:
-    template <typename T>
-    void read(const PointAttribute& attribute, std::size_t width, const CancelCheck& cancel)
+    template <typename To, typename From>
+    void read(const From* from)
     {
-        const T* const from = static_cast<const T*>(attribute.values.get());
-        const auto count = static_cast<std::size_t>(attribute.count);
-        mValues.resizeDiscarding(count * width);
+        const std::size_t width = mView.isVector ? 3 : 1, step = mView.isVector ? 4 : 1;
+        mView.isDouble = sizeof(To) == sizeof(double);
+        mValues.resizeDiscarding(mCount * step * sizeof(To));
+        To* const to = reinterpret_cast<To*>(mValues.data());
+        // Zeros where one of its numbers is not finite. Returns whether all are.
+        const auto copyValue = [=](std::size_t i) {
+            bool isFinite = true;
+            for (std::size_t c = 0; c < width; ++c) {
+                to[step * i + c] = static_cast<To>(from[width * i + c]);
+                isFinite &= std::isfinite(to[step * i + c]);
+            }
+            for (std::size_t c = isFinite ? width : 0; c < step; ++c) to[step * i + c] = 0;
+            return isFinite;
+        };
         std::atomic<std::uint64_t> skipped{0};
-        forEachChunk(count, cancel, [&](std::size_t begin, std::size_t end) {
+        forEachChunk(mCount, mCancel, [&](std::size_t begin, std::size_t end) {
             std::uint64_t bad = 0;
-            for (std::size_t i = begin; i < end; ++i) bad += !copyValue(from, width, i);
+            for (std::size_t i = begin; i < end; ++i) bad += !copyValue(i);
             skipped += bad;
         });
         mSkipped = skipped;
-        mView = {width, mValues.data(), nullptr};
+        mView.values = to;
         if (mSkipped == 0) return;
-        mValid.resizeDiscarding(count);
-        forEachChunk(count, cancel, [&](std::size_t begin, std::size_t end) {
-            for (std::size_t i = begin; i < end; ++i) mValid[i] = copyValue(from, width, i) ? 1 : 0;
+        mValid.resizeDiscarding(mCount);
+        forEachChunk(mCount, mCancel, [&](std::size_t begin, std::size_t end) {
+            for (std::size_t i = begin; i < end; ++i) mValid[i] = copyValue(i) ? 1 : 0;
         });
         mView.valid = mValid.data();
     }
 
-    // Zeros where one of its numbers is not finite. Returns whether all are.
-    template <typename T>
-    bool copyValue(const T* from, std::size_t width, std::size_t i)
-    {
-        bool isFinite = true;
-        for (std::size_t c = 0; c < width; ++c) {
-            const double value = static_cast<double>(from[width * i + c]);
-            isFinite &= std::isfinite(value);
-            mValues[width * i + c] = value;
-        }
-        for (std::size_t c = 0; c < width && !isFinite; ++c) mValues[width * i + c] = 0;
-        return isFinite;
-    }
-
-    PageArray<double> mValues, mValid;
+    const std::size_t mCount;
+    const CancelCheck& mCancel;
+    PageArray<char> mValues;
+    PageArray<double> mValid;
     AveragedAttribute mView;
     std::uint64_t mSkipped = 0;
 };
@@ -201,31 +203,23 @@ public:
     {
     }
 
-    void add(std::uint32_t query, const std::uint32_t* neighbors, std::uint32_t count,
-             std::vector<std::uint32_t>& scratch)
+    void add(std::uint32_t query, const std::uint32_t* neighbors, std::uint32_t count)
     {
-        scratch.clear();
+        // Where every pair comes both ways, one is enough.
+        const auto isFirst = [&](std::uint32_t j) { return !mIsSymmetric || j < query; };
         if (!mCores) {
-            // Where every pair comes both ways, one is enough.
-            for (std::uint32_t k = 0; k < count; ++k) {
-                if (!mIsSymmetric || neighbors[k] < query) scratch.push_back(neighbors[k]);
+            mComponents.unite(query, neighbors, count, isFirst);
+        } else if (mCores->isCore(query)) {
+            mComponents.unite(query, neighbors, count,
+                              [&](std::uint32_t j) { return isFirst(j) && mCores->isCore(j); });
+            for (std::uint32_t k = 0; k < count && !mIsSymmetric; ++k) {
+                if (!mCores->isCore(neighbors[k])) mCores->offer(neighbors[k], query);
             }
         } else {
-            const bool isCore = mCores->isCore(query);
             for (std::uint32_t k = 0; k < count; ++k) {
-                const std::uint32_t j = neighbors[k];
-                if (mCores->isCore(j)) {
-                    if (!isCore) {
-                        mCores->offer(query, j);
-                    } else if (!mIsSymmetric || j < query) {
-                        scratch.push_back(j);
-                    }
-                } else if (isCore && !mIsSymmetric) {
-                    mCores->offer(j, query);
-                }
+                if (mCores->isCore(neighbors[k])) mCores->offer(query, neighbors[k]);
             }
         }
-        mComponents.unite(query, scratch.data(), static_cast<std::uint32_t>(scratch.size()));
     }
 
     // Writes labels and sizes. `inCluster(i)`: whether a particle can be in one at all.
@@ -233,34 +227,56 @@ public:
     void finish(const MeasureTargets& targets, std::size_t particles, const CancelCheck& cancel,
                 InCluster&& inCluster)
     {
-        const auto isRoot = [&](std::uint32_t i) {
-            return inCluster(i) && (!mCores || mCores->isCore(i)) && mComponents.find(i) == i;
+        // The root of a cluster is the smallest number in it, of core points if there are any: roots in order have the ranks.
+        const auto isRoot = [&](std::size_t i) {
+            const auto number = static_cast<std::uint32_t>(i);
+            return mComponents.isRoot(number) && (!mCores || mCores->isCore(number)) && inCluster(i);
         };
-        // Ranks of the roots, which are the smallest numbers of their clusters.
-        std::vector<std::uint32_t> rank(particles);
-        std::uint32_t clusters = 0;
-        for (std::uint32_t i = 0; i < particles; ++i) {
-            if (i % 65536 == 0) cancel.check();
-            if (isRoot(i)) rank[i] = clusters++;
-        }
-        std::vector<std::uint32_t> label(particles);
+        const std::size_t chunks = (particles + kChunk - 1) / kChunk;
+        std::vector<std::uint32_t> rootsBefore(chunks + 1);
+        const auto forEachChunkOfRoots = [&](auto&& f) {
+            tbb::parallel_for(std::size_t(0), chunks, [&](std::size_t chunk) {
+                cancel.check();
+                const std::size_t end = std::min(particles, (chunk + 1) * kChunk);
+                for (std::size_t i = chunk * kChunk; i < end; ++i) {
+                    if (isRoot(i)) f(chunk, i);
+                }
+            });
+        };
+        forEachChunkOfRoots([&](std::size_t chunk, std::size_t) { ++rootsBefore[chunk + 1]; });
+        for (std::size_t chunk = 0; chunk < chunks; ++chunk) rootsBefore[chunk + 1] += rootsBefore[chunk];
+        PageArray<std::uint32_t> rank;
+        rank.resizeDiscarding(particles);
+        std::vector<std::uint32_t> next(rootsBefore);
+        forEachChunkOfRoots([&](std::size_t chunk, std::size_t i) { rank[i] = next[chunk]++; });
+
+        std::vector<std::atomic<std::uint32_t>> size(rootsBefore.back());
+        const auto labelOf = [&](std::size_t i) {
+            auto with = static_cast<std::uint32_t>(i);
+            if (mCores && !mCores->isCore(with)) with = mCores->coreNear(with);
+            return inCluster(i) && with != CorePoints::kNone ? rank[mComponents.find(with)] : CorePoints::kNone;
+        };
         forEachChunk(particles, cancel, [&](std::size_t begin, std::size_t end) {
+            // Counted run by run, for most points are in a few clusters.
+            std::uint32_t last = CorePoints::kNone, run = 0;
+            const auto add = [&] {
+                if (last != CorePoints::kNone) size[last].fetch_add(run, std::memory_order_relaxed);
+            };
             for (std::size_t i = begin; i < end; ++i) {
-                auto with = static_cast<std::uint32_t>(i);
-                if (mCores && !mCores->isCore(with)) with = mCores->coreNear(with);
-                const bool isIn = inCluster(i) && with != CorePoints::kNone;
-                label[i] = isIn ? rank[mComponents.find(with)] : CorePoints::kNone;
+                const std::uint32_t label = labelOf(i);
+                if (targets.cluster && label != CorePoints::kNone)
+                    putInteger(targets.cluster, targets.areWide, i, label);
+                if (label != last) add(), last = label, run = 0;
+                ++run;
             }
+            add();
         });
-        std::vector<std::uint32_t> size(clusters);
-        for (const std::uint32_t l : label) {
-            if (l != CorePoints::kNone) ++size[l];
-        }
+        if (!targets.clusterSize) return;
         forEachChunk(particles, cancel, [&](std::size_t begin, std::size_t end) {
             for (std::size_t i = begin; i < end; ++i) {
-                if (label[i] == CorePoints::kNone) continue;
-                if (targets.cluster) putInteger(targets.cluster, targets.areWide, i, label[i]);
-                if (targets.clusterSize) putInteger(targets.clusterSize, targets.areWide, i, size[label[i]]);
+                const std::uint32_t label = labelOf(i);
+                if (label != CorePoints::kNone)
+                    putInteger(targets.clusterSize, targets.areWide, i, size[label].load(std::memory_order_relaxed));
             }
         });
     }
@@ -273,19 +289,11 @@ private:
 
 // --------------------------------------------------------------------------------------------------- passes
 
-// What a thread does with the rows of the pass.
-struct PassThread {
-    RowBatch batch;
-    std::vector<std::uint32_t> scratch;
-
-    explicit PassThread(const RowMeasures& measures) : batch(measures) {}
-};
-
 class PassCallback final : public RowCallback {
 public:
-    PassCallback(const SearchRun& run, PassThread& thread, bool wantsRows, ClusterPairs* clusters,
+    PassCallback(const SearchRun& run, RowBatch& batch, bool wantsRows, ClusterPairs* clusters,
                  std::uint32_t* rowCount)
-        : mRun(run), mThread(thread), mWantsRows(wantsRows), mClusters(clusters), mRowCount(rowCount), mMode()
+        : mRun(run), mBatch(batch), mWantsRows(wantsRows), mClusters(clusters), mRowCount(rowCount), mMode()
     {
     }
 
@@ -293,13 +301,13 @@ public:
     {
         const std::uint32_t query = mRun.queries.number[slot];
         mRowCount[slot] = count;
-        if (mWantsRows) mThread.batch.add(query, neighbors, count);
-        if (mClusters) mClusters->add(query, neighbors, count, mThread.scratch);
+        if (mWantsRows) mBatch.add(query, neighbors, count);
+        if (mClusters) mClusters->add(query, neighbors, count);
     }
 
 private:
     const SearchRun& mRun;
-    PassThread& mThread;
+    RowBatch& mBatch;
     bool mWantsRows;
     ClusterPairs* mClusters;
     std::uint32_t* mRowCount;
@@ -328,7 +336,7 @@ public:
 
     Measured run()
     {
-        MeasureResults results(mMeasures, mOptions, mSets.rowCount(), mSets.columnCount());
+        MeasureResults results(mMeasures, mOptions, mSets.rowCount(), mSets.columnCount(), mState.results);
         mTargets = &results.targets();
         if (mTargets->wantsClusters()) checkClusters(mSets, mSearch);
         Measured measured;
@@ -405,11 +413,12 @@ private:
                 cores.emplace(mEngine.search(mSets, mSearch), *mOptions.minNeighbors, mCancel);
             clusters.emplace(mSets.rowCount(), std::move(cores), mSets.data().radius.isOne());
         }
-        std::vector<std::unique_ptr<DoubleValues>> values;
+        std::vector<std::unique_ptr<AveragedValues>> values;
         const std::vector<AveragedAttribute> averaged = readAveraged(values, skipped);
         PairPositions positions;
         if (mTargets->wantsRows())
-            positions.read(mSets.queries(), mSets.candidates(), mSets.data().largestRadius, mCancel);
+            positions.read(mSets.queries(), mSets.candidates(), mSets.data().largestRadius, mCancel,
+                           mState.positions);
 
         const SearchRuns runs(mSets, mSearch);
         const std::shared_ptr<NeighborListsData> result = mState.beginLists(mSets, Encoding::kNone, mSearch);
@@ -419,16 +428,16 @@ private:
         const double radius = mSets.data().radius.isOne() ? mSets.radius() : mSets.data().largestRadius;
         const RowMeasures measures{
             mSets.data(), kernelsFor(mSearch.simd).measure, positions, mOptions, *mTargets, averaged, radius};
-        tbb::enumerable_thread_specific<PassThread> threads([&] { return PassThread(measures); });
+        tbb::enumerable_thread_specific<RowBatch> batches([&] { return RowBatch(measures); });
         runs.forEach([&](const SearchRun& run) {
             visitTasks(mState, run, [&](const SearchRun& part, ThreadState&) {
-                return PassCallback(part, threads.local(), mTargets->wantsRows(),
+                return PassCallback(part, batches.local(), mTargets->wantsRows(),
                                     clusters ? &*clusters : nullptr, result->rowCount.data() + part.firstRow);
             });
         });
-        for (PassThread& thread : threads) {
+        for (RowBatch& batch : batches) {
             const IeeeMode mode;
-            thread.batch.flush();
+            batch.flush();
         }
         mState.finishLists(runs, pool, *result);
         mState.lists = result;
@@ -442,13 +451,13 @@ private:
     }
 
     // By attribute of the options.
-    std::vector<AveragedAttribute> readAveraged(std::vector<std::unique_ptr<DoubleValues>>& values,
+    std::vector<AveragedAttribute> readAveraged(std::vector<std::unique_ptr<AveragedValues>>& values,
                                                 std::vector<Measured::Skipped>& skipped) const
     {
         std::vector<AveragedAttribute> averaged(mOptions.attributes.size());
         for (const MeasureTargets::Average& average : mTargets->averages) {
             const PointAttribute& attribute = mOptions.attributes[average.attribute];
-            values.push_back(std::make_unique<DoubleValues>(attribute, mCancel));
+            values.push_back(std::make_unique<AveragedValues>(attribute, mCancel));
             averaged[average.attribute] = values.back()->view();
             if (values.back()->skipped() > 0) skipped.push_back({attribute.name, values.back()->skipped()});
         }

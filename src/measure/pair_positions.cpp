@@ -104,7 +104,7 @@ double copyPositions(const ParticleSource& source, PositionRecord record, bool i
 } // namespace
 
 void PairPositions::read(const ParticleView& queriesView, const ParticleView& candidatesView, double radius,
-                         const CancelCheck& cancel)
+                         const CancelCheck& cancel, PageArray<char> (&memory)[2])
 {
     // A packed voxel has ten bits; what rounding adds is far below the voxels that are spared.
     constexpr double kMostVoxels = 500;
@@ -114,12 +114,11 @@ void PairPositions::read(const ParticleView& queriesView, const ParticleView& ca
     const auto copy = [&](PositionRecord record) {
         mRecord = record;
         mRecordBytes = bytesOf(record);
-        const double ofCandidates = copyPositions(candidates, record, !isAlike, cancel, mCandidates);
-        mQueryData = mCandidates.data();
+        const double ofCandidates = copyPositions(candidates, record, !isAlike, cancel, memory[0]);
+        mQueryData = mCandidateData = memory[0].data();
         if (isOne) return 2 * ofCandidates;
-        mQueryData = nullptr;
-        const double ofQueries = copyPositions(queries, record, !isAlike, cancel, mQueries);
-        mQueryData = mQueries.data();
+        const double ofQueries = copyPositions(queries, record, !isAlike, cancel, memory[1]);
+        mQueryData = memory[1].data();
         return ofCandidates + ofQueries;
     };
     if (!isAlike || queries.isArray()) {

@@ -15,14 +15,15 @@ namespace vdb_nns {
 
 class PairPositions {
 public:
-    // Copies the positions. `radius`: the largest. The views outlive it.
+    // Copies the positions to `memory`, of candidates and queries; where both are the same, there is one copy. `radius`: the
+    // largest. The memory outlives it.
     void read(const ParticleView& queries, const ParticleView& candidates, double radius,
-              const CancelCheck& cancel);
+              const CancelCheck& cancel, PageArray<char> (&memory)[2]);
 
     PositionRecord record() const { return mRecord; }
     const PairMap& map() const { return mMap; }
     const void* query(std::uint32_t number) const { return mQueryData + mRecordBytes * number; }
-    const void* candidates() const { return mCandidates.data(); }
+    const void* candidates() const { return mCandidateData; }
 
     // Of the copies that read() would make.
     static std::uint64_t bytesFor(const ParticleView& queries, const ParticleView& candidates);
@@ -31,8 +32,8 @@ private:
     PositionRecord mRecord = PositionRecord::kFloats;
     std::size_t mRecordBytes = sizeof(FloatPosition);
     PairMap mMap{};
-    PageArray<char> mQueries, mCandidates;
     const char* mQueryData = nullptr;
+    const char* mCandidateData = nullptr;
 };
 
 } // namespace vdb_nns

@@ -1,8 +1,8 @@
 #include "measure/results.h"
 
-#include "util/memory.h"
 #include "util/nearest_name.h"
 #include "util/shown_text.h"
+#include "util/sole_owner.h"
 #include "vdb_nns/error.h"
 
 #include <tbb/blocked_range.h>
@@ -23,14 +23,6 @@ void fill(T* values, std::uint64_t count, T value)
     });
 }
 
-// Zeros, for pages are until they are touched.
-std::shared_ptr<void> zeros(std::uint64_t bytes)
-{
-    const auto block =
-        std::make_shared<PageBlock>(static_cast<std::size_t>(std::max<std::uint64_t>(bytes, 1)));
-    return {block, block->data()};
-}
-
 std::size_t attributeNamed(const std::string& name, const MeasureOptions& options)
 {
     std::vector<std::string> names;
@@ -45,23 +37,48 @@ std::size_t attributeNamed(const std::string& name, const MeasureOptions& option
 } // namespace
 
 MeasureResults::MeasureResults(const std::vector<Measure>& measures, const MeasureOptions& options,
-                               std::uint64_t queries, std::uint64_t candidates)
-    : mQueries(queries)
+                               std::uint64_t queries, std::uint64_t candidates, Memory& memory)
+    : mQueries(queries), mMemory(memory)
 {
+    for (std::shared_ptr<PageBlock>& block : memory) {
+        if (isSoleOwner(block)) mFree.push_back(std::move(block));
+    }
+    memory.clear();
     mTargets.areWide = candidates > std::uint64_t(std::numeric_limits<std::int32_t>::max());
     for (const Measure& measure : measures) addOne(measure, options);
+    mFree.clear();
+}
+
+std::shared_ptr<void> MeasureResults::block(std::uint64_t bytes)
+{
+    // The smallest that is large enough, but not much larger.
+    auto best = mFree.end();
+    for (auto i = mFree.begin(); i != mFree.end(); ++i) {
+        const bool fits = (*i)->bytes() >= bytes && (*i)->bytes() / 2 <= bytes;
+        if (fits && (best == mFree.end() || (*i)->bytes() < (*best)->bytes())) best = i;
+    }
+    std::shared_ptr<PageBlock> block;
+    if (best != mFree.end()) {
+        block = std::move(*best);
+        mFree.erase(best);
+        fill(static_cast<char*>(block->data()), bytes, '\0');
+    } else {
+        block = std::make_shared<PageBlock>(static_cast<std::size_t>(std::max<std::uint64_t>(bytes, 1)));
+    }
+    mMemory.push_back(block);
+    return {block, block->data()};
 }
 
 void* MeasureResults::add(const std::string& name, AttributeType type)
 {
-    const std::shared_ptr<void> values = zeros(mQueries * attributeBytes(type));
+    const std::shared_ptr<void> values = block(mQueries * attributeBytes(type));
     mValues.attributes.push_back({name, type, mQueries, values});
     return values.get();
 }
 
 std::uint8_t* MeasureResults::addGroup(const std::string& name)
 {
-    const std::shared_ptr<void> bytes = zeros(mQueries);
+    const std::shared_ptr<void> bytes = block(mQueries);
     const std::shared_ptr<std::uint8_t> members(bytes, static_cast<std::uint8_t*>(bytes.get()));
     mValues.groups.push_back({name, mQueries, members});
     return members.get();

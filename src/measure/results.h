@@ -2,6 +2,7 @@
 #pragma once
 
 #include "measure/measure_list.h"
+#include "util/memory.h"
 #include "vdb_nns/measure.h"
 
 #include <cstddef>
@@ -47,9 +48,12 @@ struct MeasureTargets {
 
 class MeasureResults {
 public:
+    // Blocks that results may be in; those that nobody else holds are taken first.
+    using Memory = std::vector<std::shared_ptr<PageBlock>>;
+
     // Of so many queries among so many candidates. Throws InvalidInput for an attribute that is not there.
-    MeasureResults(const std::vector<Measure>& measures, const MeasureOptions& options, std::uint64_t queries,
-                   std::uint64_t candidates);
+    MeasureResults(const std::vector<Measure>& measures, const MeasureOptions& options,
+                   std::uint64_t queries, std::uint64_t candidates, Memory& memory);
 
     const MeasureTargets& targets() const { return mTargets; }
     PointValues take() { return std::move(mValues); }
@@ -63,7 +67,12 @@ private:
     std::uint8_t* addGroup(const std::string& name);
     void addOne(const Measure& measure, const MeasureOptions& options);
 
+    // Zeros.
+    std::shared_ptr<void> block(std::uint64_t bytes);
+
     std::uint64_t mQueries;
+    Memory& mMemory;
+    Memory mFree; // of the memory
     PointValues mValues;
     MeasureTargets mTargets;
 };

@@ -109,6 +109,8 @@ RowBatch::RowBatch(const RowMeasures& measures)
       mTargets(measures.targets),
       mWantsWeights(mTargets.density || mTargets.normal || mTargets.eigenvalues ||
                     !mTargets.averages.empty()),
+      mWantsVectors(mTargets.normal || mTargets.eigenvalues || mTargets.stretch),
+      mWantsNumbers(!mTargets.averages.empty() || (mTargets.density && !measures.options.masses.empty())),
       mHasRadii(!measures.sets.radius.isOne()),
       mIsByPair(mHasRadii && measures.sets.radius.mode != RadiusMode::kGather)
 {
@@ -135,23 +137,35 @@ void RowBatch::add(std::uint32_t query, const std::uint32_t* neighbors, std::uin
 {
     const std::size_t begin = mUsed, end = begin + padded(count);
     reserve(end);
+<<<<<<< HEAD
+    const bool isOwn = mMeasures.sets.isCandidate(query);
+    Row row{query, isOwn ? 1.0 : 0.0, isOwn ? 1.0 : 0.0, mMeasures.radius, 0, 0};
+=======
     // A radius that reaches nobody does not reach the query itself.
     const bool isOwn = mMeasures.sets.isCandidate(query) &&
                        (!mHasRadii || radiusOfPair(mMeasures.sets.radius, query, query) > 0);
     Row row{query, isOwn ? 1.0 : 0.0, isOwn ? 1.0 : 0.0, mMeasures.radius};
+>>>>>>> h-verify18
     if (count > 0) {
         const PairPositions& positions = mMeasures.positions;
-        mMeasures.kernels.differences[static_cast<std::size_t>(positions.record())](
-            positions.query(query), positions.candidates(), neighbors, count, column(kX) + begin,
-            column(kY) + begin, column(kZ) + begin);
-        std::uint32_t* const numbers = mNumbers.data() + begin;
-        std::memcpy(numbers, neighbors, count * sizeof(std::uint32_t));
-        std::fill(numbers + count, mNumbers.data() + end, neighbors[count - 1]);
-        double* const valid = column(kValid) + begin;
-        std::fill(valid, valid + count, 1.0);
-        std::fill(valid + count, column(kValid) + end, 0.0);
+        mMeasures.kernels.pairs[static_cast<std::size_t>(positions.record())](
+            positions.query(query), positions.candidates(), positions.map(), neighbors, count,
+            mWantsVectors ? column(kX) + begin : nullptr, column(kY) + begin, column(kZ) + begin,
+            column(kDistance) + begin);
+        if (mWantsNumbers) {
+            std::memcpy(mNumbers.data() + begin, neighbors, count * sizeof(std::uint32_t));
+            std::fill(mNumbers.data() + begin + count, mNumbers.data() + end, neighbors[count - 1]);
+        }
     }
+<<<<<<< HEAD
+    if (mHasRadii) setRadii(row, neighbors, count, begin);
+    if (count > 0) {
+        weigh(row, begin, count);
+        writeDistances(query, begin, count);
+    }
+=======
     if (mHasRadii && (count > 0 || isOwn)) setRadii(row, neighbors, count, begin);
+>>>>>>> h-verify18
     mRows.push_back(row);
     mBegin.push_back(static_cast<std::uint32_t>(begin));
     mCount.push_back(count);
@@ -178,33 +192,39 @@ void RowBatch::setRadii(Row& row, const std::uint32_t* neighbors, std::uint32_t 
 }
 
 // W is a weight times W(0) of the row's reference: where radii differ from pair to pair, by the cube of its ratio to them.
-void RowBatch::scaleByRadii()
+void RowBatch::scaleByRadii(Row& row, std::size_t begin, std::uint32_t count)
 {
-    double* const weight = column(kWeight);
-    const double* const inverse = column(kInverse);
-    for (std::size_t r = 0; r < mRows.size(); ++r) {
-        for (std::size_t k = mBegin[r]; k < mBegin[r] + padded(mCount[r]); ++k)
-            weight[k] *= cube(mRows[r].reference * inverse[k]);
+    double* const weight = column(kWeight) + begin;
+    const double* const inverse = column(kInverse) + begin;
+    for (std::size_t k = 0; k < count; ++k) weight[k] *= cube(row.reference * inverse[k]);
+    const std::uint32_t first = 0;
+    mMeasures.kernels.sums({&first, &count, 1}, weight, nullptr, &row.weights);
+}
+
+void RowBatch::weigh(Row& row, std::size_t begin, std::uint32_t count)
+{
+    const double one = 1 / mMeasures.radius;
+    const double* const inverse = mHasRadii ? column(kInverse) + begin : &one;
+    const std::size_t step = mHasRadii ? 1 : 0;
+    const double* const distance = column(kDistance) + begin;
+    // The query's own weight is 1, the largest.
+    if (mWantsWeights) {
+        row.weights = mMeasures.kernels.weights(weightOf(mMeasures.options.kernel), count, distance, inverse,
+                                                step, row.isOwn, column(kWeight) + begin);
+        if (mIsByPair) scaleByRadii(row, begin, count);
+    }
+    if (mTargets.stretch) {
+        row.pcaWeights = mMeasures.kernels.weights(PairWeight::kPca, count, distance, inverse, step,
+                                                   row.isOwn, column(kPcaWeight) + begin);
     }
 }
 
-void RowBatch::weigh()
+void RowBatch::writeDistances(std::uint32_t query, std::size_t begin, std::uint32_t count)
 {
-    const MeasureKernels& kernels = mMeasures.kernels;
-    kernels.distances(mMeasures.positions.map(), mUsed, column(kX), column(kY), column(kZ),
-                      column(kDistance));
-    const double one = 1 / mMeasures.radius;
-    const double* const inverse = mHasRadii ? column(kInverse) : &one;
-    const std::size_t step = mHasRadii ? 1 : 0;
-    if (mWantsWeights) {
-        kernels.weights(weightOf(mMeasures.options.kernel), mUsed, column(kDistance), inverse, step,
-                        column(kValid), column(kWeight));
-        if (mIsByPair) scaleByRadii();
-    }
-    if (mTargets.stretch) {
-        kernels.weights(PairWeight::kPca, mUsed, column(kDistance), inverse, step, column(kValid),
-                        column(kPcaWeight));
-    }
+    if (!mTargets.meanDistance && !mTargets.nearestDistance) return;
+    const RowDistances row = mMeasures.kernels.rowDistances(count, column(kDistance) + begin);
+    if (mTargets.meanDistance) mTargets.meanDistance[query] = static_cast<float>(row.sum / count);
+    if (mTargets.nearestDistance) mTargets.nearestDistance[query] = static_cast<float>(row.least);
 }
 
 const double* RowBatch::sums(const PairRows& rows, Column weight, const double* factor)
@@ -214,59 +234,66 @@ const double* RowBatch::sums(const PairRows& rows, Column weight, const double* 
     return mSums.data();
 }
 
-void RowBatch::writeDistances(const PairRows& rows)
+void RowBatch::sumVectors(const PairRows& rows, Column weight, Column x)
 {
-    if (mTargets.meanDistance) {
-        const double* const sum = sums(rows, kValid, column(kDistance));
-        for (std::size_t r = 0; r < rows.rows; ++r) {
-            if (mCount[r] > 0) mTargets.meanDistance[mRows[r].query] = static_cast<float>(sum[r] / mCount[r]);
-        }
-    }
-    if (mTargets.nearestDistance) {
-        mSums.resize(rows.rows);
-        mMeasures.kernels.least(rows, column(kDistance), mSums.data());
-        for (std::size_t r = 0; r < rows.rows; ++r) {
-            if (mCount[r] > 0) mTargets.nearestDistance[mRows[r].query] = static_cast<float>(mSums[r]);
-        }
+    mVectors.resize(3 * rows.rows);
+    mMeasures.kernels.vectorSums(rows, column(weight), column(x), column(x + 1), column(x + 2),
+                                 mVectors.data());
+}
+
+namespace {
+
+// Component c of the value of a particle.
+double valueOf(const AveragedAttribute& attribute, std::size_t number, std::size_t c)
+{
+    const std::size_t at = attribute.isVector ? 4 * number + c : number; // vectors have a pad
+    return attribute.isDouble ? static_cast<const double*>(attribute.values)[at]
+                              : static_cast<double>(static_cast<const float*>(attribute.values)[at]);
+}
+
+void putReal(AttributeType type, void* out, std::size_t at, double value)
+{
+    if (type == AttributeType::kDouble || type == AttributeType::kVec3d) {
+        static_cast<double*>(out)[at] = value;
+    } else {
+        static_cast<float*>(out)[at] = static_cast<float>(value);
     }
 }
 
-void RowBatch::writeAverages(const PairRows& rows)
+} // namespace
+
+void RowBatch::writeAverage(const MeasureTargets::Average& average, const PairRows& rows)
 {
-    for (const MeasureTargets::Average& average : mTargets.averages) {
-        const AveragedAttribute& attribute = mMeasures.averaged[average.attribute];
-        const double* weightSums = mWeightSums.data();
-        Column weight = kWeight;
-        std::vector<double> validSums;
-        if (attribute.valid) {
-            weight = kValidWeight;
-            for (std::size_t k = 0; k < mUsed; ++k)
-                column(kValidWeight)[k] = column(kWeight)[k] * attribute.valid[mNumbers[k]];
-            const double* const sum = sums(rows, kValidWeight, nullptr);
-            validSums.assign(sum, sum + rows.rows);
-            weightSums = validSums.data();
-        }
-        for (std::size_t c = 0; c < attribute.width; ++c) {
-            const auto valueOf = [&](std::uint32_t number) {
-                return attribute.values[attribute.width * number + c];
-            };
-            double* const factor = column(kFactor);
-            for (std::size_t k = 0; k < mUsed; ++k) factor[k] = valueOf(mNumbers[k]);
-            const double* const sum = sums(rows, weight, factor);
-            for (std::size_t r = 0; r < rows.rows; ++r) {
-                const std::uint32_t query = mRows[r].query;
-                const bool hasOwn = mRows[r].isOwn != 0 && (!attribute.valid || attribute.valid[query] != 0);
-                const double own = hasOwn ? mRows[r].ownWeight : 0;
-                const double total = weightSums[r] + own;
-                if (!(total > 0)) continue;
-                const double value = (sum[r] + (hasOwn ? own * valueOf(query) : 0)) / total;
-                const std::size_t at = attribute.width * query + c;
-                if (average.type == AttributeType::kDouble || average.type == AttributeType::kVec3d) {
-                    static_cast<double*>(average.out)[at] = value;
-                } else {
-                    static_cast<float*>(average.out)[at] = static_cast<float>(value);
-                }
-            }
+    const AveragedAttribute& attribute = mMeasures.averaged[average.attribute];
+    const MeasureKernels& kernels = mMeasures.kernels;
+    Column weight = kWeight;
+    if (attribute.valid) {
+        weight = kValidWeight;
+        for (std::size_t k = 0; k < mUsed; ++k)
+            column(kValidWeight)[k] = column(kWeight)[k] * attribute.valid[mNumbers[k]];
+        mValidSums.resize(rows.rows);
+        kernels.sums(rows, column(kValidWeight), nullptr, mValidSums.data());
+    }
+    const std::size_t width = attribute.isVector ? 3 : 1;
+    const double* sum = nullptr;
+    if (attribute.isVector) {
+        kernels.vectors[attribute.isDouble](attribute.values, mNumbers.data(), mUsed, column(kFactorX),
+                                            column(kFactorY), column(kFactorZ));
+        sumVectors(rows, weight, kFactorX);
+        sum = mVectors.data();
+    } else {
+        kernels.scalars[attribute.isDouble](attribute.values, mNumbers.data(), mUsed, column(kFactorX));
+        sum = sums(rows, weight, column(kFactorX));
+    }
+    for (std::size_t r = 0; r < rows.rows; ++r) {
+        const std::size_t query = mRows[r].query;
+        const bool hasOwn = mRows[r].isOwn != 0 && (!attribute.valid || attribute.valid[query] != 0);
+        const double own = hasOwn ? mRows[r].ownWeight : 0;
+        const double total = (attribute.valid ? mValidSums[r] : mRows[r].weights) + own;
+        if (!(total > 0)) continue;
+        for (std::size_t c = 0; c < width; ++c) {
+            const double ownTerm = hasOwn ? own * valueOf(attribute, query, c) : 0;
+            putReal(average.type, average.out, width * query + c, (sum[width * r + c] + ownTerm) / total);
         }
     }
 }
@@ -306,12 +333,12 @@ void RowBatch::writeEigenvalues(const double* eigen, std::size_t r)
 void RowBatch::writeAxes(const PairRows& rows, Column weight, bool isPca)
 {
     const std::size_t count = rows.rows;
-    const double* const weightSum = sums(rows, weight, nullptr);
     mCenters.assign(3 * count, 0.0);
-    std::vector<double>& totals = mWeightSums; // those of W are not needed any more
+    std::vector<double>& totals = mTotals;
     totals.resize(count);
     for (std::size_t r = 0; r < count; ++r) {
-        totals[r] = weightSum[r] + (isPca ? mRows[r].isOwn : mRows[r].ownWeight);
+        const Row& row = mRows[r];
+        totals[r] = isPca ? row.pcaWeights + row.isOwn : row.weights + row.ownWeight;
         if (!(totals[r] > 0)) continue;
         for (std::size_t c = 0; c < 3; ++c) mCenters[3 * r + c] = mVectors[3 * r + c] / totals[r];
     }
@@ -345,27 +372,14 @@ void RowBatch::flush()
 {
     if (mRows.empty()) return;
     const PairRows rows{mBegin.data(), mCount.data(), mRows.size()};
-    if (mTargets.wantsRows()) {
-        const auto vectorSums = [&](Column weight) {
-            mVectors.resize(3 * rows.rows);
-            mMeasures.kernels.vectorSums(rows, column(weight), column(kX), column(kY), column(kZ),
-                                         column(kDistance), mVectors.data());
-        };
-        weigh();
-        writeDistances(rows);
-        if (mWantsWeights) {
-            const double* const sum = sums(rows, kWeight, nullptr);
-            mWeightSums.assign(sum, sum + rows.rows);
-        }
-        if (mTargets.density) writeDensities(rows);
-        writeAverages(rows);
-        if (mTargets.normal || mTargets.eigenvalues) vectorSums(kWeight);
-        if (mTargets.normal) writeNormals();
-        if (mTargets.eigenvalues) writeAxes(rows, kWeight, false);
-        if (mTargets.stretch) {
-            vectorSums(kPcaWeight);
-            writeAxes(rows, kPcaWeight, true);
-        }
+    if (mTargets.density) writeDensities(rows);
+    for (const MeasureTargets::Average& average : mTargets.averages) writeAverage(average, rows);
+    if (mTargets.normal || mTargets.eigenvalues) sumVectors(rows, kWeight, kX);
+    if (mTargets.normal) writeNormals();
+    if (mTargets.eigenvalues) writeAxes(rows, kWeight, false);
+    if (mTargets.stretch) {
+        sumVectors(rows, kPcaWeight, kX);
+        writeAxes(rows, kPcaWeight, true);
     }
     mRows.clear();
     mBegin.clear();
@@ -376,19 +390,18 @@ void RowBatch::flush()
 void RowBatch::writeDensities(const PairRows& rows)
 {
     const MeasureOptions& options = mMeasures.options;
-    const double* sum = mWeightSums.data();
+    const double* sum = nullptr;
     const bool hasMasses = !options.masses.empty();
     if (hasMasses) {
-        double* const factor = column(kFactor);
-        for (std::size_t k = 0; k < mUsed; ++k) factor[k] = options.masses[mNumbers[k]];
-        sum = sums(rows, kWeight, factor);
+        mMeasures.kernels.scalars[1](options.masses.data(), mNumbers.data(), mUsed, column(kFactorX));
+        sum = sums(rows, kWeight, column(kFactorX));
     }
     const double atZero = weightAtZero(options.kernel);
     for (std::size_t r = 0; r < rows.rows; ++r) {
         const Row& row = mRows[r];
         const double total = hasMasses
                                  ? sum[r] + (row.isOwn != 0 ? row.ownWeight * options.masses[row.query] : 0)
-                                 : options.mass * (sum[r] + row.ownWeight);
+                                 : options.mass * (row.weights + row.ownWeight);
         mTargets.density[row.query] = static_cast<float>(total * (atZero / cube(row.reference)));
     }
 }

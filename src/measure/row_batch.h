@@ -15,11 +15,11 @@
 
 namespace vdb_nns {
 
-// An attribute of the candidates, by number.
+// An attribute of the candidates, by number: floats or doubles, FloatPosition or DoublePosition if it is a vector.
 struct AveragedAttribute {
-    std::size_t width = 1;
-    const double* values = nullptr; // finite: 0 where the attribute is not
-    const double* valid = nullptr;  // 1 or 0; null where all are
+    bool isDouble = false, isVector = false;
+    const void* values = nullptr; // finite: 0 where the attribute is not
+    const double* valid = nullptr; // 1 or 0; null where all are
 };
 
 // What all threads share in a pass.
@@ -48,6 +48,7 @@ private:
         double ownWeight; // of the query in the sums of W: 0 where it is no candidate
         double isOwn;     // 1 where it is one
         double reference; // radius that W is a multiple of
+        double weights, pcaWeights; // sums over the pairs
     };
     // Numbers of doubles a pair.
     enum Column {
@@ -55,39 +56,41 @@ private:
         kY,
         kZ,
         kDistance,
-        kValid,
         kWeight,
         kPcaWeight,
         kInverse,
-        kFactor,
         kValidWeight,
+        kFactorX, // values of an attribute, masses
+        kFactorY,
+        kFactorZ,
         kColumns
     };
 
-    double* column(Column c) { return mPairs.data() + static_cast<std::size_t>(c) * mCapacity; }
+    double* column(int c) { return mPairs.data() + static_cast<std::size_t>(c) * mCapacity; }
     // Keeps the pairs that are there.
     void reserve(std::size_t pairs);
     void setRadii(Row& row, const std::uint32_t* neighbors, std::uint32_t count, std::size_t begin);
-    void weigh();
-    void scaleByRadii();
-    void writeDistances(const PairRows& rows);
+    void weigh(Row& row, std::size_t begin, std::uint32_t count);
+    void writeDistances(std::uint32_t query, std::size_t begin, std::uint32_t count);
+    void scaleByRadii(Row& row, std::size_t begin, std::uint32_t count);
     void writeDensities(const PairRows& rows);
-    void writeAverages(const PairRows& rows);
     void writeNormals();
     void writeAxes(const PairRows& rows, Column weight, bool isPca);
     void writePca(const double* eigen, std::size_t r);
     void writeEigenvalues(const double* eigen, std::size_t r);
     const double* sums(const PairRows& rows, Column weight, const double* factor);
+    void sumVectors(const PairRows& rows, Column weight, Column x);
+    void writeAverage(const MeasureTargets::Average& average, const PairRows& rows);
 
     const RowMeasures& mMeasures;
     const MeasureTargets& mTargets;
-    const bool mWantsWeights, mHasRadii, mIsByPair;
+    const bool mWantsWeights, mWantsVectors, mWantsNumbers, mHasRadii, mIsByPair;
     std::size_t mCapacity = 0, mUsed = 0;
     PageArray<double> mPairs;
     PageArray<std::uint32_t> mNumbers; // of the candidate of each pair; pads repeat the last
     std::vector<Row> mRows;
     std::vector<std::uint32_t> mBegin, mCount;
-    std::vector<double> mSums, mWeightSums, mVectors, mCenters, mMoments, mEigen;
+    std::vector<double> mSums, mValidSums, mTotals, mVectors, mCenters, mMoments, mEigen;
 };
 
 } // namespace vdb_nns

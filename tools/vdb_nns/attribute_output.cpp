@@ -1,0 +1,70 @@
+#include "attribute_output.h"
+
+#include "report.h"
+#include "vdb_nns/error.h"
+
+#include <algorithm>
+
+namespace vdb_nns::cli {
+
+bool makesNewGrid(const PointFile& points)
+{
+    return points.info().format != "vdb";
+}
+
+void checkNames(const PointFile& points, const std::vector<std::string>& attributes,
+                const std::vector<std::string>& groups)
+{
+    const auto refuse = [](const char* what, const std::string& name) {
+        throw InvalidInput(std::string("the ") + what + " '" + name +
+                           "' exists; use --force to replace it, or another --prefix");
+    };
+    const PointFileInfo& info = points.info();
+    for (const std::string& name : attributes) {
+        const auto isIt = [&](const AttributeInfo& a) { return a.name == name; };
+        if (std::any_of(info.attributes.begin(), info.attributes.end(), isIt)) refuse("attribute", name);
+    }
+    for (const std::string& name : groups) {
+        if (std::find(info.groups.begin(), info.groups.end(), name) != info.groups.end())
+            refuse("group", name);
+    }
+}
+
+std::optional<WrittenPoints> writePoints(const std::string& path, const PointFile& points,
+                                         const PointValues& values, double radius,
+                                         const std::optional<double>& voxelSize, const OutputOptions& output,
+                                         Progress* progress)
+{
+    if (extensionOf(path) == ".ply") {
+        writePly(path, points.view(), values, output, progress);
+        return std::nullopt;
+    }
+    if (!makesNewGrid(points)) {
+        points.writeVdb(path, values, output, progress);
+        return std::nullopt;
+    }
+    NewGridOptions grid;
+    grid.voxelSize = voxelSize.value_or(radius);
+    grid.suggestedRadius = radius;
+    return writeNewVdb(path, points.view(), values, grid, output, progress);
+}
+
+std::vector<std::string> warningsOf(const std::string& path, const WrittenPoints& written)
+{
+    std::vector<std::string> warnings;
+    if (written.skipped > 0) {
+        warnings.push_back(path + ": " + countText(written.skipped) +
+                           " points with a NaN or infinite coordinate are left out; the attribute id tells "
+                           "which are there");
+    }
+    if (written.largestRounding > 0) {
+        warnings.push_back(path + ": positions were rounded by up to " +
+                           format("%.3g", written.largestRounding) +
+                           " (world units), so that pairs whose distance is within " +
+                           format("%.3g", 2 * written.largestRounding) +
+                           " of the radius may be neighbors in one file and not in the other");
+    }
+    return warnings;
+}
+
+} // namespace vdb_nns::cli

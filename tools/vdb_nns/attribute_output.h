@@ -1,0 +1,42 @@
+// Outputs that hold attributes of points: the points again with them, new points, or the attributes alone.
+#pragma once
+
+#include "cli_options.h"
+#include "vdb_nns/point_file.h"
+#include "vdb_nns/point_values.h"
+#include "vdb_nns/write_points.h"
+
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace vdb_nns::cli {
+
+/// What is to be written where, of the points of one file.
+struct AttributeOutputs {
+    std::vector<std::string> points; ///< .vdb and .ply
+    std::string arrays;              ///< .npz of the attributes alone; empty: none
+    std::optional<double> voxelSize; ///< of a new .vdb; else the radius
+};
+
+/// Whether a .vdb of such points is a new grid rather than a copy of theirs.
+bool makesNewGrid(const PointFile& points);
+
+/// Refuses names that the points have already and that would be replaced.
+/// @throws InvalidInput
+void checkNames(const PointFile& points, const std::vector<std::string>& attributes,
+                const std::vector<std::string>& groups);
+
+/// Writes `path`, the points with the values.
+/// @param radius of the search: voxels of a new grid are as large, and it is the grid's `suggested_radius`
+/// @return of a new grid what became of the points
+/// @throws as the writers of write_points.h and PointFile::writeVdb()
+std::optional<WrittenPoints> writePoints(const std::string& path, const PointFile& points,
+                                         const PointValues& values, double radius,
+                                         const std::optional<double>& voxelSize, const OutputOptions& output,
+                                         Progress* progress);
+
+/// Sentences about what writing changed: points that are left out, positions that were rounded.
+std::vector<std::string> warningsOf(const std::string& path, const WrittenPoints& written);
+
+} // namespace vdb_nns::cli
