@@ -61,8 +61,8 @@ VDB_NNS_INLINE EightDoubles doublesOf(__m256i v)
 #if defined(VDB_NNS_SIMD_AVX512)
     return {{_mm512_cvtepi32_pd(v)}};
 #else
-    return {{_mm256_cvtepi32_pd(_mm256_castsi256_si128(v)),
-             _mm256_cvtepi32_pd(_mm256_extracti128_si256(v, 1))}};
+    return {
+        {_mm256_cvtepi32_pd(_mm256_castsi256_si128(v)), _mm256_cvtepi32_pd(_mm256_extracti128_si256(v, 1))}};
 #endif
 }
 
@@ -97,7 +97,8 @@ VDB_NNS_INLINE EightVectors eightVectors(const DoublePosition* records, const st
 
 VDB_NNS_INLINE __m256i topBits(__m256i packed, int axis)
 {
-    return _mm256_and_si256(_mm256_slli_epi32(packed, 10 * axis), _mm256_set1_epi32(static_cast<int>(0xffc00000u)));
+    return _mm256_and_si256(_mm256_slli_epi32(packed, 10 * axis),
+                            _mm256_set1_epi32(static_cast<int>(0xffc00000u)));
 }
 
 // Voxels of eight records less that of the query: ten bits at the top wrap as the difference does.
@@ -106,8 +107,7 @@ VDB_NNS_INLINE EightVectors voxelDifferences(const VoxelPosition10& query, __m25
     EightVectors v;
     const __m256i from = _mm256_set1_epi32(static_cast<int>(query.voxel));
     for (int k = 0; k < 3; ++k) {
-        v.axis[k] = doublesOf(
-            _mm256_srai_epi32(_mm256_sub_epi32(topBits(packed, k), topBits(from, k)), 22));
+        v.axis[k] = doublesOf(_mm256_srai_epi32(_mm256_sub_epi32(topBits(packed, k), topBits(from, k)), 22));
     }
     return v;
 }
@@ -133,7 +133,7 @@ VDB_NNS_INLINE EightVectors eightBy(Read&& read)
 template <typename Record> // x, y and z
 VDB_NNS_INLINE EightVectors eightVectors(const Record* records, const std::uint32_t* n)
 {
-    return eightBy([&](std::size_t k, double (&d)[3]) {
+    return eightBy([&](std::size_t k, double(&d)[3]) {
         const Record& r = records[n[k]];
         d[0] = static_cast<double>(r.x);
         d[1] = static_cast<double>(r.y);
@@ -147,8 +147,7 @@ VDB_NNS_INLINE EightVectors less(const EightVectors& a, const double (&b)[3])
 {
     EightVectors v;
     for (int c = 0; c < 3; ++c) {
-        for (int p = 0; p < kParts; ++p)
-            v.axis[c].part[p] = SimdD::sub(a.axis[c].part[p], SimdD::set(b[c]));
+        for (int p = 0; p < kParts; ++p) v.axis[c].part[p] = SimdD::sub(a.axis[c].part[p], SimdD::set(b[c]));
     }
     return v;
 }
@@ -157,15 +156,14 @@ VDB_NNS_INLINE EightVectors sumOf(const EightVectors& a, const EightVectors& b)
 {
     EightVectors v;
     for (int c = 0; c < 3; ++c) {
-        for (int p = 0; p < kParts; ++p)
-            v.axis[c].part[p] = SimdD::add(a.axis[c].part[p], b.axis[c].part[p]);
+        for (int p = 0; p < kParts; ++p) v.axis[c].part[p] = SimdD::add(a.axis[c].part[p], b.axis[c].part[p]);
     }
     return v;
 }
 
 // Candidate less query, of eight candidates.
 VDB_NNS_INLINE EightVectors eightDifferences(const FloatPosition& query, const FloatPosition* records,
-                                     const std::uint32_t* n)
+                                             const std::uint32_t* n)
 {
     const double from[3] = {static_cast<double>(query.x), static_cast<double>(query.y),
                             static_cast<double>(query.z)};
@@ -173,14 +171,14 @@ VDB_NNS_INLINE EightVectors eightDifferences(const FloatPosition& query, const F
 }
 
 VDB_NNS_INLINE EightVectors eightDifferences(const DoublePosition& query, const DoublePosition* records,
-                                     const std::uint32_t* n)
+                                             const std::uint32_t* n)
 {
     const double from[3] = {query.x, query.y, query.z};
     return less(eightVectors(records, n), from);
 }
 
 VDB_NNS_INLINE EightVectors eightDifferences(const VoxelPosition10& query, const VoxelPosition10* records,
-                                     const std::uint32_t* n)
+                                             const std::uint32_t* n)
 {
     const double from[3] = {static_cast<double>(query.x), static_cast<double>(query.y),
                             static_cast<double>(query.z)};
@@ -190,10 +188,9 @@ VDB_NNS_INLINE EightVectors eightDifferences(const VoxelPosition10& query, const
     return sumOf(voxelDifferences(query, _mm256_castps_si256(f.w)), offsets);
 #else
     constexpr std::uint32_t kTop = 0xffc00000u;
-    const EightVectors voxels = eightBy([&](std::size_t k, double (&d)[3]) {
+    const EightVectors voxels = eightBy([&](std::size_t k, double(&d)[3]) {
         for (int c = 0; c < 3; ++c) {
-            const std::uint32_t top =
-                (records[n[k]].voxel << 10 * c & kTop) - (query.voxel << 10 * c & kTop);
+            const std::uint32_t top = (records[n[k]].voxel << 10 * c & kTop) - (query.voxel << 10 * c & kTop);
             d[c] = static_cast<double>(static_cast<std::int32_t>(top) >> 22);
         }
     });
@@ -202,7 +199,7 @@ VDB_NNS_INLINE EightVectors eightDifferences(const VoxelPosition10& query, const
 }
 
 VDB_NNS_INLINE EightVectors eightDifferences(const WideVoxelPosition& query, const WideVoxelPosition* records,
-                                     const std::uint32_t* n)
+                                             const std::uint32_t* n)
 {
     double voxel[3], offset[3];
     for (int c = 0; c < 3; ++c) {
@@ -216,10 +213,10 @@ VDB_NNS_INLINE EightVectors eightDifferences(const WideVoxelPosition& query, con
     return sumOf(less({{integers(v.x), integers(v.y), integers(v.z)}}, voxel),
                  less({{doublesOf(f.x), doublesOf(f.y), doublesOf(f.z)}}, offset));
 #else
-    const EightVectors voxels = eightBy([&](std::size_t k, double (&d)[3]) {
+    const EightVectors voxels = eightBy([&](std::size_t k, double(&d)[3]) {
         for (int c = 0; c < 3; ++c) d[c] = records[n[k]].voxel[c];
     });
-    const EightVectors offsets = eightBy([&](std::size_t k, double (&d)[3]) {
+    const EightVectors offsets = eightBy([&](std::size_t k, double(&d)[3]) {
         for (int c = 0; c < 3; ++c) d[c] = static_cast<double>(records[n[k]].offset[c]);
     });
     return sumOf(less(voxels, voxel), less(offsets, offset));
@@ -250,7 +247,8 @@ void makePairs(const Record& query, const Record* records, const PairMap& map, c
                std::uint32_t count, double* x, double* y, double* z, double* distance)
 {
     using S = SimdD;
-    const auto eight = [&](std::uint32_t k, const std::uint32_t* n) __attribute__((always_inline)) {
+    const auto eight = [&](std::uint32_t k, const std::uint32_t* n) __attribute__((always_inline))
+    {
         const EightVectors d = eightDifferences(query, records, n);
         EightVectors w = d;
         EightDoubles length;
@@ -447,8 +445,8 @@ inline void vectorSums(const PairRows& rows, const double* weight, const double*
         const std::uint32_t begin = rows.begin[r], end = begin + paddedPairs(rows.count[r]);
         S::D greatest = S::set(0);
         for (std::uint32_t k = begin; k < end; k += S::kLanes) {
-            const S::D largest = S::max(S::max(S::abs(S::load(x + k)), S::abs(S::load(y + k))),
-                                        S::abs(S::load(z + k)));
+            const S::D largest =
+                S::max(S::max(S::abs(S::load(x + k)), S::abs(S::load(y + k))), S::abs(S::load(z + k)));
             greatest = S::max(greatest, S::mul(S::load(weight + k), largest));
         }
         const IntegerScale scale(S::greatest(greatest), rows.count[r]);

@@ -254,7 +254,8 @@ public:
         const auto labelOf = [&](std::size_t i) {
             auto with = static_cast<std::uint32_t>(i);
             if (mCores && !mCores->isCore(with)) with = mCores->coreNear(with);
-            return inCluster(i) && with != CorePoints::kNone ? rank[mComponents.find(with)] : CorePoints::kNone;
+            return inCluster(i) && with != CorePoints::kNone ? rank[mComponents.find(with)]
+                                                             : CorePoints::kNone;
         };
         forEachChunk(particles, cancel, [&](std::size_t begin, std::size_t end) {
             // Counted run by run, for most points are in a few clusters.
@@ -276,7 +277,8 @@ public:
             for (std::size_t i = begin; i < end; ++i) {
                 const std::uint32_t label = labelOf(i);
                 if (label != CorePoints::kNone)
-                    putInteger(targets.clusterSize, targets.areWide, i, size[label].load(std::memory_order_relaxed));
+                    putInteger(targets.clusterSize, targets.areWide, i,
+                               size[label].load(std::memory_order_relaxed));
             }
         });
     }

@@ -52,8 +52,8 @@ public:
     using Memory = std::vector<std::shared_ptr<PageBlock>>;
 
     // Of so many queries among so many candidates. Throws InvalidInput for an attribute that is not there.
-    MeasureResults(const std::vector<Measure>& measures, const MeasureOptions& options,
-                   std::uint64_t queries, std::uint64_t candidates, Memory& memory);
+    MeasureResults(const std::vector<Measure>& measures, const MeasureOptions& options, std::uint64_t queries,
+                   std::uint64_t candidates, Memory& memory);
 
     const MeasureTargets& targets() const { return mTargets; }
     PointValues take() { return std::move(mValues); }

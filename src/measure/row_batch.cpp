@@ -137,15 +137,10 @@ void RowBatch::add(std::uint32_t query, const std::uint32_t* neighbors, std::uin
 {
     const std::size_t begin = mUsed, end = begin + padded(count);
     reserve(end);
-<<<<<<< HEAD
-    const bool isOwn = mMeasures.sets.isCandidate(query);
-    Row row{query, isOwn ? 1.0 : 0.0, isOwn ? 1.0 : 0.0, mMeasures.radius, 0, 0};
-=======
     // A radius that reaches nobody does not reach the query itself.
     const bool isOwn = mMeasures.sets.isCandidate(query) &&
                        (!mHasRadii || radiusOfPair(mMeasures.sets.radius, query, query) > 0);
-    Row row{query, isOwn ? 1.0 : 0.0, isOwn ? 1.0 : 0.0, mMeasures.radius};
->>>>>>> h-verify18
+    Row row{query, isOwn ? 1.0 : 0.0, isOwn ? 1.0 : 0.0, mMeasures.radius, 0, 0};
     if (count > 0) {
         const PairPositions& positions = mMeasures.positions;
         mMeasures.kernels.pairs[static_cast<std::size_t>(positions.record())](
@@ -157,15 +152,11 @@ void RowBatch::add(std::uint32_t query, const std::uint32_t* neighbors, std::uin
             std::fill(mNumbers.data() + begin + count, mNumbers.data() + end, neighbors[count - 1]);
         }
     }
-<<<<<<< HEAD
-    if (mHasRadii) setRadii(row, neighbors, count, begin);
+    if (mHasRadii && (count > 0 || isOwn)) setRadii(row, neighbors, count, begin);
     if (count > 0) {
         weigh(row, begin, count);
         writeDistances(query, begin, count);
     }
-=======
-    if (mHasRadii && (count > 0 || isOwn)) setRadii(row, neighbors, count, begin);
->>>>>>> h-verify18
     mRows.push_back(row);
     mBegin.push_back(static_cast<std::uint32_t>(begin));
     mCount.push_back(count);

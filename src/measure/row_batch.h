@@ -18,7 +18,7 @@ namespace vdb_nns {
 // An attribute of the candidates, by number: floats or doubles, FloatPosition or DoublePosition if it is a vector.
 struct AveragedAttribute {
     bool isDouble = false, isVector = false;
-    const void* values = nullptr; // finite: 0 where the attribute is not
+    const void* values = nullptr;  // finite: 0 where the attribute is not
     const double* valid = nullptr; // 1 or 0; null where all are
 };
 
@@ -45,9 +45,9 @@ public:
 private:
     struct Row {
         std::uint32_t query;
-        double ownWeight; // of the query in the sums of W: 0 where it is no candidate
-        double isOwn;     // 1 where it is one
-        double reference; // radius that W is a multiple of
+        double ownWeight;           // of the query in the sums of W: 0 where it is no candidate
+        double isOwn;               // 1 where it is one
+        double reference;           // radius that W is a multiple of
         double weights, pcaWeights; // sums over the pairs
     };
     // Numbers of doubles a pair.

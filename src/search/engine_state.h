@@ -117,7 +117,8 @@ struct EngineState {
     SearchStatistics statistics;
     std::vector<OpenedDevice> devices; // of the last run on devices; not the simulated ones
     PageArray<char> positions[2];      // of candidates and queries, for measures
-    std::vector<std::shared_ptr<PageBlock>> results; // of measures; those that nobody else holds are used again
+    std::vector<std::shared_ptr<PageBlock>>
+        results; // of measures; those that nobody else holds are used again
 
     void beginStatistics(const SearchOptions& options);
     TaskStatistics sumStatistics();
