@@ -2,6 +2,7 @@
 // memory, falling back to a smaller encoding if the lists do not fit.
 #pragma once
 
+#include "vdb_nns/measure.h"
 #include "vdb_nns/neighbor_lists.h"
 #include "vdb_nns/output.h"
 #include "vdb_nns/particle_view.h"
@@ -47,6 +48,10 @@ struct JobOptions {
     /// about along space, rows go there as they are found, once, and nothing holds them; the job has written the file then.
     /// Else the caller writes it with writeJobNpz().
     std::optional<NpzTarget> npz;
+    /// Measures to be made of the neighbors besides, by name (measure.h): of all queries, on the CPU. Where only counts are kept
+    /// of the lists, in the pass that counts; else in one of their own. `measure.search` is not read.
+    std::vector<std::string> measures;
+    MeasureOptions measure;
 };
 
 /// What a job did. If it throws, `notes`, `settled` and `gridSeconds` tell how far it came; the rest is unspecified.
@@ -56,8 +61,11 @@ struct JobReport {
     std::optional<Plan> plan;       ///< of the last try; empty without devices
     std::optional<ScheduleRun> run; ///< of the last try; empty without devices
     double writeSeconds = 0;        ///< of JobOptions::npz, for what had to wait until all rows were found
-    bool streamed = false;          ///< the lists hold counts alone; see JobOptions::mayStream, npz
-    bool written = false;           ///< JobOptions::npz is
+    std::optional<double> measureSeconds; ///< of JobOptions::measures, if they took a pass of their own
+    PointValues measured;                 ///< JobOptions::measures, by particle number of the queries' view
+    std::vector<Measured::Skipped> measureSkipped;
+    bool streamed = false;                 ///< the lists hold counts alone; see JobOptions::mayStream, npz
+    bool written = false;                  ///< JobOptions::npz is
     std::optional<std::uint64_t> checksum; ///< of the lists that were written, if JobOptions::npz asks for it
     std::uint64_t streamBufferBytes = 0;   ///< for streamNpz()
     /// The options that it ended with. The next search of points like these starts there without trying what did not fit.

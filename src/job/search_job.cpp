@@ -96,7 +96,9 @@ public:
             const double start = wallSeconds(), gridSeconds = mReport.gridSeconds;
             mBudget.beginLists(sets, reusableBytes());
             const NeighborLists lists = searchAndWrite(std::move(sets), makeSets);
-            const double otherSeconds = mPlanningSeconds + mReport.gridSeconds - gridSeconds;
+            measureApart(lists.sets());
+            const double otherSeconds =
+                mPlanningSeconds + mReport.gridSeconds - gridSeconds + mReport.measureSeconds.value_or(0);
             mReport.searchSeconds = wallSeconds() - start - otherSeconds - mReport.writeSeconds;
             mReport.streamed = mReport.written || isStreamed(mReport.settled);
             mReport.streamBufferBytes = mBudget.bufferBytes(lists.sets());
@@ -154,6 +156,28 @@ private:
         return search(std::move(sets), makeSets);
     }
 
+    Measured measure(const SearchSets& sets)
+    {
+        MeasureOptions options = mReport.settled.measure;
+        options.search = mReport.settled.search;
+        options.search.radius = 0; // the sets are within it
+        options.search.hostMemoryBytes = mBudget.isBounded() ? mBudget.listBytes(sets, Encoding::kNone) : 0;
+        Measured measured = mEngine.measure(sets, mReport.settled.measures, options);
+        mReport.measured = std::move(measured.values);
+        mReport.measureSkipped = std::move(measured.skipped);
+        mHasMeasured = true;
+        return measured;
+    }
+
+    // In a pass of its own, if the one that counted did not make the measures.
+    void measureApart(const SearchSets& sets)
+    {
+        if (mHasMeasured || mReport.settled.measures.empty()) return;
+        const double start = wallSeconds();
+        measure(sets);
+        mReport.measureSeconds = wallSeconds() - start;
+    }
+
     // Lists in the first encoding that fits.
     template <typename MakeSets>
     NeighborLists search(SearchSets sets, const MakeSets& makeSets)
@@ -163,6 +187,8 @@ private:
             try {
                 SearchOptions search = options.search;
                 search.hostMemoryBytes = mBudget.listBytes(sets, search.encoding);
+                const bool isCounted = search.encoding == Encoding::kNone && options.device.devices.empty();
+                if (isCounted && !options.measures.empty()) return measure(sets).counts;
                 if (options.device.devices.empty()) return mEngine.search(sets, search);
                 return searchOnDevices(gridOf(sets), search);
             } catch (const CapacityError& error) {
@@ -276,6 +302,7 @@ private:
     HostBudget mBudget;
     JobReport& mReport;
     double mPlanningSeconds = 0; // of all tries
+    bool mHasMeasured = false;
 };
 
 } // namespace

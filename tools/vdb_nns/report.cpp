@@ -189,6 +189,21 @@ Json resultJson(const SearchReport& report)
     return result;
 }
 
+Json measuresJson(const WrittenMeasures& measures)
+{
+    Json json;
+    json["attributes"] = Json::array();
+    for (const WrittenMeasures::Attribute& attribute : measures.attributes)
+        json["attributes"].push_back({{"name", attribute.name}, {"type", attribute.type}});
+    json["groups"] = measures.groups;
+    json["skipped_values"] = Json::object();
+    for (const Measured::Skipped& skipped : measures.skipped)
+        json["skipped_values"][skipped.attribute] = skipped.values;
+    json["voxel_size"] = measures.voxelSize > 0 ? Json(measures.voxelSize) : Json(nullptr);
+    json["largest_rounding"] = measures.voxelSize > 0 ? Json(measures.largestRounding) : Json(nullptr);
+    return json;
+}
+
 Json estimateJson(const SearchReport& report)
 {
     Json estimate;
@@ -223,6 +238,7 @@ Json secondsJson(const SearchReport& report)
     json["estimate"] = orNull(seconds.estimate);
     json["plan"] = orNull(seconds.plan);
     json["search"] = orNull(seconds.search);
+    json["measure"] = orNull(seconds.measure);
     json["collect"] = report.run ? Json(report.run->collectSeconds) : Json(nullptr); // of all threads
     json["checksum"] = orNull(seconds.checksum);
     json["write"] = orNull(seconds.write);
@@ -315,6 +331,7 @@ std::string timeLines(const SecondsReport& seconds)
     if (seconds.estimate) text += step("estimate", *seconds.estimate, seconds.total);
     if (seconds.plan) text += step("plan", *seconds.plan, seconds.total);
     if (seconds.search) text += step("search", *seconds.search, seconds.total);
+    if (seconds.measure) text += step("measure", *seconds.measure, seconds.total);
     if (seconds.checksum) text += step("checksum", *seconds.checksum, seconds.total);
     if (seconds.write) text += step("write", *seconds.write, seconds.total);
     return text;
@@ -397,6 +414,7 @@ std::string searchReportJson(const SearchReport& report)
     json["devices"] = devices;
     json["plan"] = planJson(report);
     json["result"] = resultJson(report);
+    json["measures"] = report.measures ? measuresJson(*report.measures) : Json(nullptr);
     json["estimate"] = estimateJson(report);
     json["memory"] = {{"peak_rss_bytes", report.peakBytes},
                       {"grid_bytes", report.gridBytes},
@@ -405,6 +423,24 @@ std::string searchReportJson(const SearchReport& report)
     json["seconds"] = secondsJson(report);
     return dump(json);
 }
+
+namespace {
+
+std::string measuresText(const WrittenMeasures& measures)
+{
+    std::string text;
+    for (const WrittenMeasures::Attribute& attribute : measures.attributes)
+        text += line(text.empty() ? "attributes" : "", attribute.name + " (" + attribute.type + ")");
+    for (const std::string& group : measures.groups)
+        text += line(text.empty() ? "attributes" : "", group + " (group)");
+    for (const Measured::Skipped& skipped : measures.skipped)
+        text += line("skipped",
+                     countText(skipped.values) + " values of " + skipped.attribute + " that are not finite");
+    if (measures.voxelSize > 0) text += line("voxel size", format("%.9g", measures.voxelSize));
+    return text;
+}
+
+} // namespace
 
 std::string searchReportText(const SearchReport& report)
 {
@@ -429,6 +465,7 @@ std::string searchReportText(const SearchReport& report)
              report.straightToFile ? "straight to the file, counts " + bytesText(report.listBytes) : lists);
     text += line("memory", "grid " + bytesText(report.gridBytes) + ", peak " + bytesText(report.peakBytes));
     if (report.checksum) text += line("checksum", checksumText(*report.checksum));
+    if (report.measures) text += measuresText(*report.measures);
     if (report.run) text += runText(report);
     const double nanoseconds = report.points > 0 ? 1e9 * (seconds.grid + seconds.search.value_or(0)) /
                                                        static_cast<double>(report.points)

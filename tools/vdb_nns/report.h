@@ -1,6 +1,7 @@
 // What a search or a plan did, as the JSON report and as the summary on stdout. Plain data and functions to text.
 #pragma once
 
+#include "vdb_nns/measure.h"
 #include "vdb_nns/neighbor_lists.h"
 #include "vdb_nns/planning/executor.h"
 #include "vdb_nns/planning/plan.h"
@@ -25,8 +26,19 @@ struct DeviceReport {
 
 struct SecondsReport {
     double read = 0, grid = 0, total = 0, firstGrid = 0;
-    std::optional<double> estimate, plan, search, firstSearch, checksum,
+    std::optional<double> estimate, plan, search, firstSearch, measure, checksum,
         write; ///< empty where a step did not run
+};
+
+/// Attributes that a search made.
+struct WrittenMeasures {
+    struct Attribute {
+        std::string name, type; ///< type: attributeTypeName()
+    };
+    std::vector<Attribute> attributes;
+    std::vector<std::string> groups;
+    std::vector<Measured::Skipped> skipped; ///< values that are not finite, of attributes that are averaged
+    double voxelSize = 0, largestRounding = 0; ///< of a new .vdb; 0 without one
 };
 
 struct SearchReport {
@@ -51,6 +63,7 @@ struct SearchReport {
     std::optional<ListStatistics> result; ///< empty for a dry run
     std::optional<std::uint64_t> checksum;
     std::uint64_t peakBytes = 0;
+    std::optional<WrittenMeasures> measures; ///< empty where none are written
     SecondsReport seconds;
     std::vector<std::string> written;
 };

@@ -1,9 +1,11 @@
 // vdb_nns search: reads particles, finds neighbors, writes lists and attributes, reports.
+#include "attribute_output.h"
 #include "cli_options.h"
 #include "command.h"
 #include "device_options.h"
 #include "exit_codes.h"
 #include "machine.h"
+#include "measure_options.h"
 #include "numbers.h"
 #include "point_input.h"
 #include "query_options.h"
@@ -16,9 +18,9 @@
 #include "vdb_nns/search.h"
 #include "vdb_nns/search_job.h"
 #include "vdb_nns/version.h"
+#include "vdb_nns/write_points.h"
 
 #include <algorithm>
-#include <cctype>
 #include <memory>
 #include <tbb/combinable.h>
 
@@ -29,10 +31,12 @@ struct SearchFlags {
     CommonFlags common;
     InputFlags input;
     QueryFlags query;
+    MeasureFlags measure;
     EngineFlags engine;
     std::vector<std::string> outputs;
+    std::string attributesOutput, voxelSize;
     DeviceFlags device;
-    std::string encoding, lists = "connectivity", attributes = "count", prefix = "nns_";
+    std::string encoding, lists = "connectivity";
     std::string repeat = "1", nonfinite = "skip";
     bool checksum = false;
 };
@@ -42,7 +46,11 @@ struct SearchPlan {
     std::optional<double> radius; // else the file's suggestion
     JobOptions job;
     QueryPlan query;
+    MeasurePlan measure;
+    AttributeOutputs attributes;
     int threads = 0;
+
+    bool writesAttributes() const { return !attributes.points.empty() || !attributes.arrays.empty(); }
     std::uint64_t repeat = 1;
 };
 
@@ -50,13 +58,24 @@ void addFlags(CLI::App& app, SearchFlags& flags)
 {
     app.add_option("IN", flags.input.path, kInputHelp)->required()->check(notEmpty());
     app.add_option("-o,--output", flags.outputs,
-                   "write neighbor lists (.npz) or the points with result attributes (.vdb); may be repeated")
+                   "write neighbor lists (.npz) or the points with result attributes (.vdb, .ply); may be "
+                   "repeated")
         ->type_name("OUT")
         ->type_size(1)
         ->allow_extra_args(false)
         ->check(notEmpty());
     addInputFlags(app, flags.input, true);
     addQueryFlags(app, flags.query);
+    flags.measure.attributes = "count";
+    addMeasureFlags(app, flags.measure);
+    app.add_option("--attributes-output", flags.attributesOutput,
+                   "write the result attributes alone as named arrays (.npz)")
+        ->type_name("FILE")
+        ->check(notEmpty());
+    app.add_option("--voxel-size", flags.voxelSize,
+                   "voxel edge of a .vdb of points that were none, in world units; default: the radius")
+        ->type_name("SIZE")
+        ->check(notEmpty());
     addDeviceFlags(app, flags.device);
     addEngineFlags(app, flags.engine);
     app.add_option("--encoding", flags.encoding,
@@ -68,13 +87,6 @@ void addFlags(CLI::App& app, SearchFlags& flags)
     app.add_option("--lists", flags.lists, "values of an .npz: connectivity (ones) or distance")
         ->type_name("VALUES")
         ->check(CLI::IsMember({"connectivity", "distance"}))
-        ->capture_default_str();
-    app.add_option("--attributes", flags.attributes,
-                   "attributes of a .vdb output, separated by commas: count")
-        ->type_name("LIST")
-        ->capture_default_str();
-    app.add_option("--prefix", flags.prefix, "prefix of attribute names")
-        ->type_name("P")
         ->capture_default_str();
     app.add_flag("--checksum", flags.checksum, "report the checksum of all pairs");
     app.add_option("--repeat", flags.repeat, "search N times and report medians")
@@ -88,42 +100,48 @@ void addFlags(CLI::App& app, SearchFlags& flags)
     addCommonFlags(app, flags.common);
 }
 
-void checkAttributes(const SearchFlags& flags)
-{
-    if (flags.attributes != "count") {
-        throw InvalidInput("--attributes: '" + flags.attributes +
-                           "' is not known; this version writes: count");
-    }
-    const auto allowed = [](unsigned char c) { return std::isalnum(c) || c == '_' || c == ':' || c == '|'; };
-    if (!std::all_of(flags.prefix.begin(), flags.prefix.end(), allowed)) {
-        throw InvalidInput("--prefix: '" + flags.prefix +
-                           "' has a character that attribute names may not have; use "
-                           "letters, digits, _ : |");
-    }
-}
-
 void checkOutputKinds(const SearchFlags& flags, SearchPlan& plan)
 {
     const std::string& rows = flags.query.queries.empty() ? flags.input.path : flags.query.queries;
-    const bool rowsAreVdb = extensionOf(rows) == ".vdb";
+    bool hasNewGrid = false;
     for (const std::string& path : flags.outputs) {
         const std::string extension = extensionOf(path);
-        plan.job.written.npz |= extension == ".npz";
-        plan.job.written.vdb |= extension == ".vdb";
-        if (extension != ".npz" && extension != ".vdb") {
+        if (extension != ".npz" && extension != ".vdb" && extension != ".ply") {
             throw InvalidInput(path + ": the extension '" + extension +
-                               "' is not known; use .npz for lists or .vdb for "
-                               "points with attributes");
+                               "' is not known; use .npz for lists, .vdb or .ply for points with attributes");
         }
-        if (extension == ".vdb" && !rowsAreVdb) {
-            throw InvalidInput(path + ": attributes can only be written when the input is a .vdb, and " +
-                               rows + " is not; use -o x.npz");
-        }
+        plan.job.written.npz |= extension == ".npz";
+        if (extension != ".npz") plan.attributes.points.push_back(path);
+        hasNewGrid |= extension == ".vdb" && extensionOf(rows) != ".vdb";
+    }
+    plan.attributes.arrays = flags.attributesOutput;
+    if (!flags.attributesOutput.empty() && extensionOf(flags.attributesOutput) != ".npz")
+        throw InvalidInput("--attributes-output: " + flags.attributesOutput +
+                           " has another extension than .npz, the format of named arrays");
+    plan.job.written.vdb = plan.writesAttributes();
+    if (!flags.voxelSize.empty()) {
+        plan.attributes.voxelSize = parsePositive(flags.voxelSize, "--voxel-size");
+        if (!hasNewGrid)
+            throw InvalidInput(
+                "--voxel-size is that of a new .vdb: there is none where the points come from a "
+                ".vdb, whose voxels stay, or no .vdb is written; leave it out");
     }
     if (plan.job.written.npz && flags.encoding == "none") {
         throw InvalidInput(
             "--encoding none keeps no lists, and an .npz output needs them; use index or mask");
     }
+}
+
+// Counts come from the lists; other measures take a pass that makes them.
+void checkMeasures(const SearchFlags& flags, SearchPlan& plan)
+{
+    plan.measure = checkMeasureFlags(flags.measure, plan.query);
+    if (plan.measure.names.empty()) throw InvalidInput("--attributes: '' names none; leave it out for count");
+    if (plan.measure.isCountAlone()) return;
+    if (!plan.writesAttributes())
+        throw InvalidInput("--attributes: nothing is written that could hold " + flags.measure.attributes +
+                           "; add -o FILE.vdb, -o FILE.ply or --attributes-output FILE.npz");
+    plan.job.measures = plan.measure.names;
 }
 
 Encoding chooseEncoding(const SearchFlags& flags, const SearchPlan& plan)
@@ -172,42 +190,43 @@ SearchPlan checkFlags(const SearchFlags& flags)
     plan.threads = threadCount(flags.common);
     plan.repeat = parseCount(flags.repeat, "--repeat");
     if (plan.repeat == 0) throw InvalidInput("--repeat: 0 runs are none; give 1 or more");
-    checkAttributes(flags);
     checkOutputKinds(flags, plan);
+    checkMeasures(flags, plan);
     plan.job.search.encoding = chooseEncoding(flags, plan);
     plan.job.mayUseMasks = flags.encoding.empty();
     plan.job.mayStream = plan.job.written.npz && flags.encoding != "mask";
     plan.job.npz = targetOf(flags, plan);
     std::vector<std::string> inputs = queryFiles(flags.query);
     inputs.push_back(flags.input.path);
-    checkOutputs(flags.outputs, inputs, flags.common);
+    std::vector<std::string> outputs = flags.outputs;
+    if (!flags.attributesOutput.empty()) outputs.push_back(flags.attributesOutput);
+    checkOutputs(outputs, inputs, flags.common);
     return plan;
 }
 
-// The attribute to be written must not exist.
-void checkAttribute(const SearchFlags& flags, const SearchPlan& plan, const PointFile& file)
+// Attributes and groups to be written must not exist.
+void checkExisting(const SearchFlags& flags, const SearchPlan& plan, const PointFile& file)
 {
-    if (!plan.job.written.vdb || flags.common.force) return;
-    const std::string name = flags.prefix + "count";
-    for (const AttributeInfo& attribute : file.info().attributes) {
-        if (attribute.name == name) {
-            throw InvalidInput("the attribute '" + name +
-                               "' exists; use --force to replace it, or another --prefix");
-        }
-    }
+    const auto isCopy = [](const std::string& path) { return extensionOf(path) == ".vdb"; };
+    const std::vector<std::string>& points = plan.attributes.points;
+    if (flags.common.force || makesNewGrid(file) || std::none_of(points.begin(), points.end(), isCopy))
+        return;
+    std::vector<std::string> names;
+    for (const MeasuredNames::Value& value : plan.measure.results.attributes) names.push_back(value.name);
+    checkNames(file, names, plan.measure.results.groups);
 }
 
 // The job, `repeat` times with buffers kept; the last lists are returned.
 NeighborLists runJobs(SearchEngine& engine, const QueryInput& input, const SearchFlags& flags,
-                      const SearchPlan& plan, ProgressPrinter& progress, SearchReport& report, JobReport& job)
+                      JobOptions options, std::uint64_t repeat, ProgressPrinter& progress,
+                      SearchReport& report, JobReport& job)
 {
     constexpr double kReadShare = 0.2, kSearchShare = 0.6; // rough shares of a run, for progress only
     std::vector<double> gridSeconds, searchSeconds;
-    JobOptions options = plan.job;
     NeighborLists lists;
-    for (std::uint64_t run = 0; run < plan.repeat; ++run) {
+    for (std::uint64_t run = 0; run < repeat; ++run) {
         lists = NeighborLists(); // frees what the engine may use again
-        const double step = kSearchShare / static_cast<double>(plan.repeat);
+        const double step = kSearchShare / static_cast<double>(repeat);
         SearchProgress steps({progress, kReadShare + step * static_cast<double>(run),
                               kReadShare + step * static_cast<double>(run + 1)});
         options.search.progress = &steps;
@@ -234,6 +253,7 @@ NeighborLists runJobs(SearchEngine& engine, const QueryInput& input, const Searc
     seconds.firstSearch = searchSeconds.front();
     seconds.grid = median(std::move(gridSeconds));
     seconds.search = median(std::move(searchSeconds));
+    seconds.measure = job.measureSeconds;
     if (job.plan) {
         seconds.estimate = job.plan->estimateSeconds;
         seconds.plan = job.plan->planSeconds;
@@ -269,23 +289,58 @@ void makeChecksum(SearchEngine& engine, const SearchFlags& flags, const JobRepor
     report.seconds.checksum = watch.seconds();
 }
 
+// The result attributes. `counts` must stay where it is.
+PointValues valuesOf(const SearchPlan& plan, const JobReport& job, const NeighborLists& lists,
+                     std::vector<std::uint32_t>& counts)
+{
+    if (!plan.job.measures.empty()) return job.measured;
+    counts = lists.counts();
+    PointValues values;
+    values.attributes.push_back(viewAttribute(plan.measure.results.attributes.at(0).name,
+                                              AttributeType::kInt32, counts.data(), counts.size()));
+    return values;
+}
+
+void reportValues(const PointValues& values, const JobReport& job, SearchReport& report)
+{
+    report.measures.emplace();
+    for (const PointAttribute& attribute : values.attributes)
+        report.measures->attributes.push_back({attribute.name, attributeTypeName(attribute.type)});
+    for (const PointGroup& group : values.groups) report.measures->groups.push_back(group.name);
+    report.measures->skipped = job.measureSkipped;
+}
+
 void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const SearchPlan& plan,
                   const JobReport& job, const PointFile& file, const NeighborLists& lists,
                   ProgressPrinter& progress, SearchReport& report)
 {
-    if (flags.outputs.empty()) return;
+    std::vector<std::string> paths = flags.outputs;
+    if (!plan.attributes.arrays.empty()) paths.push_back(plan.attributes.arrays);
+    if (paths.empty()) return;
     const Stopwatch watch;
-    const double share = 0.2 / static_cast<double>(flags.outputs.size());
-    for (const std::string& path : flags.outputs) {
-        const double from = 0.8 + share * static_cast<double>(report.written.size());
+    const OutputOptions output = outputOptions(flags.common);
+    std::vector<std::uint32_t> counts;
+    PointValues values;
+    if (plan.writesAttributes()) {
+        values = valuesOf(plan, job, lists, counts);
+        reportValues(values, job, report);
+    }
+    const double share = 0.2 / static_cast<double>(paths.size());
+    for (std::size_t i = 0; i < paths.size(); ++i) {
+        const std::string& path = paths[i];
+        const double from = 0.8 + share * static_cast<double>(i);
         progress.begin("write", from, from + share);
-        if (extensionOf(path) == ".npz") {
-            if (!job.written)
-                writeJobNpz(path, engine, lists, job, listForm(flags, plan), outputOptions(flags.common));
-        } else {
-            const std::vector<std::uint32_t> counts = lists.counts();
-            file.writeVdb(path, {counts.data(), counts.size()}, flags.prefix, outputOptions(flags.common),
-                          &progress);
+        if (i == flags.outputs.size()) {
+            writeArraysNpz(path, values, output, &progress);
+        } else if (extensionOf(path) == ".npz") {
+            if (!job.written) writeJobNpz(path, engine, lists, job, listForm(flags, plan), output);
+        } else if (const auto written = writePoints(path, file, values, report.radius,
+                                                    plan.attributes.voxelSize, output, &progress)) {
+            report.measures->voxelSize = written->voxelSize;
+            report.measures->largestRounding = written->largestRounding;
+            for (const std::string& warning : warningsOf(path, *written)) {
+                if (!flags.common.quiet) say("warning: " + warning);
+            }
         }
         report.written.push_back(path);
     }
@@ -319,11 +374,17 @@ int searchFile(const SearchFlags& flags, const SearchPlan& plan, int threads, Se
     const QueryInput input =
         readQuerySets(flags.input, flags.query, plan.query, needs, {progress, 0, 0.2}, session, report);
     const PointFile& rows = input.queries ? *input.queries : input.candidates;
-    checkAttribute(flags, plan, rows);
+    checkExisting(flags, plan, rows);
+    MeasureInput measured;
+    JobOptions options = plan.job;
+    if (!plan.job.measures.empty()) {
+        measured = readMeasureInput(input.candidates, plan.measure, &progress);
+        options.measure = optionsOf(plan.measure, measured);
+    }
 
     SearchEngine engine;
     JobReport job;
-    const NeighborLists lists = runJobs(engine, input, flags, plan, progress, report, job);
+    const NeighborLists lists = runJobs(engine, input, flags, options, plan.repeat, progress, report, job);
     if (plan.query.hasRadii) report.radius = lists.sets().radius();
     fillReport(engine, flags, job, lists, report);
     makeChecksum(engine, flags, job, lists, report);
