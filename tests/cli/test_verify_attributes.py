@@ -184,3 +184,87 @@ class VerifyAttributes(CliCase):
             with self.subTest(more):
                 self.fails(2, "verify", self.input, lists, "-r", RADIUS, *more, says=[more[0], "lists.npz"])
         self.assertTrue(os.path.exists(lists))
+
+
+ROWS = "count,density,mean_distance,nearest_distance,nearest,normal,eigenvalues,pca,isolated,nonfinite"
+ALL = ROWS + ",cluster,cluster_size"
+
+
+class SearchAgrees(CliCase):
+    """What search writes passes: the engine's measures and the checker share the names alone."""
+
+    def agrees(self, source, name, *flags):
+        """Searches and verifies with the same flags."""
+        result = self.path(name)
+        output = ["--attributes-output", result] if name.endswith(".npz") else ["-o", result]
+        self.succeeds("search", source, *output, "-f", "-q", *flags)
+        report = self.report("verify", source, result, *flags)
+        self.assertTrue(report["passed"])
+        return report
+
+    def cloud(self, name="cloud.npz", count=900, seed=8):
+        random = np.random.default_rng(seed)
+        x = random.random((count, 3))
+        x[3], x[4] = np.nan, x[5]
+        v = random.standard_normal((count, 3)).astype(np.float32)
+        v[10, 1] = np.inf
+        np.savez(self.path(name), positions=x, v=v, d=random.standard_normal(count), n=random.integers(-9, 9, count),
+                 m=random.random(count), r=0.05 + 0.1 * random.random(count))
+        return self.path(name)
+
+    def test_scenes(self):
+        for name in ("dam_break", "sheet", "clusters", "lattice", "spray", "far"):
+            with self.subTest(name):
+                scene = self.scene(name, 4000)
+                report = self.agrees(scene, "out.vdb", "--attributes", ALL)
+                self.assertEqual(len(report["faults"]), len(ALL.split(",")) + 3)
+                if name != "lattice": # whose sums have no direction, and whose eigenvalues are equal
+                    self.assertLess(report["faults"]["normal"]["undetermined"], 400)
+                    self.assertLess(report["faults"]["xform"]["undetermined"], 400)
+                self.agrees(scene, "out.ply", "--attributes", ALL, "--min-neighbors", "20", "--kernel", "poly6")
+                self.agrees(scene, "out.npz", "--attributes", ROWS, "--nearest", "7", "--pca-threshold", "6")
+
+    def test_attributes_that_are_there_are_found(self):
+        source, result = self.cloud(), self.path("out.vdb")
+        self.succeeds("search", source, "-r", "0.1", "-o", result, "-q", "--attributes", ALL + ",average:v,average:n")
+        report = self.report("verify", source, result, "-r", "0.1")
+        self.assertEqual(len(report["faults"]), len(ALL.split(",")) + 3 + 2)
+        self.assertEqual(report["queries"], 899) # the .vdb has no place for the one that is not finite
+
+    def test_points_of_arrays(self):
+        source = self.cloud()
+        averages = ALL + ",average:v,average:d,average:n"
+        for name in ("out.vdb", "out.ply", "out.npz"):
+            for flags in (["--mass-attribute", "m"], ["--mass", "3", "--pca-average", "0.5", "--pca-anisotropy", "0.1"],
+                          ["--min-neighbors", "4", "--pca-threshold", "3", "--pca-stretch", "0.3"],
+                          ["--kernel", "tophat", "--prefix", "p|"], ["--kernel", "wendland2"]):
+                with self.subTest((name, flags)):
+                    self.agrees(source, name, "-r", "0.1", "--attributes", averages, *flags)
+
+    def test_radii_of_points(self):
+        source = self.cloud()
+        radii = np.load(source)["r"]
+        radii[20:26] = 0, -1, np.nan, np.inf, 1e-9, 0.2
+        np.save(self.path("radii.npy"), radii)
+        for mode in ("gather", "scatter", "symmetric"):
+            for name in ("out.ply", "out.npz"):
+                with self.subTest((mode, name)):
+                    self.agrees(source, name, "--radius-file", self.path("radii.npy"), "--radius-mode", mode,
+                                "--attributes", ALL + ",average:v", "--pca-threshold", "5")
+
+    def test_other_queries(self):
+        source, queries = self.cloud(), self.cloud("queries.npz", 300, 9)
+        for name in ("out.ply", "out.npz", "out.vdb"):
+            with self.subTest(name):
+                self.agrees(source, name, "-r", "0.1", "--queries", queries, "--attributes", ROWS + ",average:d")
+        scene, result = self.scene("block", 3000), self.path("asked.vdb")
+        self.succeeds("search", scene, "--queries", self.scene("sheet", 2000), "-r", "0.1", "-o", result, "-q",
+                      "--attributes", ROWS)
+        self.succeeds("verify", scene, result, "--queries", self.path("sheet.vdb"), "-r", "0.1", "-q")
+
+    def test_other_grids(self):
+        for name, radius in (("affine.vdb", "1.3"), ("nonfinite.vdb", "0.8"), ("empty.vdb", "1")):
+            with self.subTest(name):
+                self.agrees(self.fixture(name), "out.vdb", "-r", radius, "--attributes", ALL, "--pca-threshold", "4")
+                self.succeeds("verify", self.fixture(name), self.path("out.vdb"), "-r", radius, "--attributes", "count", "-q")
+        self.succeeds("verify", self.fixture("empty.vdb"), self.path("out.vdb"), "-r", "1", "-q")

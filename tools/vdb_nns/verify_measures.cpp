@@ -31,7 +31,7 @@ std::vector<std::string> measuresOf(const ResultFile& result, const MeasureTask&
         for (const std::string& of : result.namesBehind(task.flags.prefix + name, attributes))
             found.push_back(name + of);
     }
-    if (!found.empty()) return found;
+    if (!found.empty() || result.isEmpty()) return found;
     throw InvalidInput(task.result + ": has no attribute of a measure: none begins with '" +
                        task.flags.prefix + "' and the name of one (--prefix), and there are none of pca");
 }
