@@ -38,8 +38,11 @@ std::vector<std::string> measuresOf(const ResultFile& result, const MeasureTask&
 
 } // namespace
 
-MeasureReport checkResult(const MeasureTask& task, Progress* progress)
+MeasureReport checkResult(const MeasureTask& task, const ProgressSpan& span)
 {
+    Progress* const progress = &span.printer;
+    const double read = span.begin + 0.1 * (span.end - span.begin); // a rough share, for progress only
+    span.printer.begin("read", span.begin, read);
     const ResultFile result(task.result, task.grid, progress);
     const QueryPlan& query = task.input.plan;
     const MeasurePlan plan = task.flags.attributes.empty()
@@ -57,6 +60,7 @@ MeasureReport checkResult(const MeasureTask& task, Progress* progress)
         claims.values = placedValues(claims.values, places);
         for (const std::uint32_t place : places) claims.isThere.push_back(place != ~std::uint32_t(0));
     }
+    span.printer.begin("verify", read, span.end);
     return verifyMeasures(task.terms, claims, task.options, progress);
 }
 
