@@ -1,8 +1,11 @@
 // What the kernels of measures take: positions of particles by number, and batches of rows of neighbors, spread out pair by pair.
 // Plain data between src/measure and measure_rows-inl.h, which is compiled once for each instruction set.
 //
-//   row of query 0         row of query 1         ...       each begins at a multiple of kPairPad; pairs behind its last
-//   [pair pair ... pad]    [pair pad pad ...]               one, up to the next row, repeat its distance, with a weight of 0
+// Pairs stand in groups of eight, which no loop has to leave early: loops over single rows, whose lengths vary, would be predicted
+// wrong once a row. What is of a row is looked up for each group.
+//
+//   row of query 0                  row of query 1                    pads behind the last pair of a row repeat its number;
+//   [8 pairs] [3 pairs, 5 pads]     [8 pairs] [8 pairs] [1, 7 pads]   weights are 0 there
 //
 // Sums over a row do not depend on the order of its pairs, nor on the instruction set: they are sums of integers. The largest
 // magnitude of a row's terms is below 2^e; each term is multiplied by 2^(b-e) and rounded to the nearest integer, with b = 50, or
@@ -54,56 +57,61 @@ struct PairMap {
     double m[3][3];
 };
 
-// For each of `count` candidates, at least one, and for the pads behind them: candidate less query, the voxel difference, exact,
-// plus the difference of the offsets in double, then the map; and the distance, sqrt((x x + y y) + z z). Vectors are not written
-// where `x` is null.
-using PairsFunction = void (*)(const void* query, const void* candidates, const PairMap& map,
-                               const std::uint32_t* numbers, std::uint32_t count, double* x, double* y,
-                               double* z, double* distance);
+constexpr std::size_t kGroup = kPairPad;
 
-// Vectors of so many candidates, a multiple of kPairPad, from FloatPosition or DoublePosition.
-using VectorsFunction = void (*)(const void* values, const std::uint32_t* numbers, std::size_t count,
-                                 double* x, double* y, double* z);
+struct PairGroups {
+    std::size_t groups, rows;
+    const std::uint32_t* numbers;    // of the candidates, kGroup for each group
+    const std::uint32_t* row;        // of each group
+    const std::uint32_t* pairs;      // of each group, 1 to kGroup
+    const std::uint32_t* firstGroup; // of each row, and the end
+    const void* const* query;        // of each row: its position
+};
+
+// For each pair candidate less query, the voxel difference, exact, plus the difference of the offsets in double, then the map; and
+// the distance, sqrt((x x + y y) + z z). Vectors are not written where `x` is null.
+using PairsFunction = void (*)(const PairGroups& groups, const void* candidates, const PairMap& map,
+                               double* x, double* y, double* z, double* distance);
+
+// Vectors of the candidates, from FloatPosition or DoublePosition.
+using VectorsFunction = void (*)(const PairGroups& groups, const void* values, double* x, double* y,
+                                 double* z);
 // Numbers likewise, from float or double.
-using ScalarsFunction = void (*)(const void* values, const std::uint32_t* numbers, std::size_t count,
-                                 double* out);
+using ScalarsFunction = void (*)(const PairGroups& groups, const void* values, double* out);
 
 // Weights by q = min(distance / radius, 1), 1 at 0: SmoothingKernel without its constant, and that of points::pca.
 enum class PairWeight : std::uint8_t { kCubic, kWendland2, kPoly6, kTophat, kPca };
 
-// Writes the weights of the pairs of a row, 0 to pads, and returns their sum. `inverse`: of the radius of each pair; where
-// `inverseStep` is 0, of all. `greatest`: a power of two that no weight passes, for the scale of the sum; 0: the row's own.
-using WeightsFunction = double (*)(PairWeight weight, std::uint32_t pairs, const double* distance,
-                                   const double* inverse, std::size_t inverseStep, double greatest,
-                                   double* out);
+// `inverse`: of the radius of each pair; where `inverseStep` is 0, of all.
+using WeightsFunction = void (*)(PairWeight weight, const PairGroups& groups, const double* distance,
+                                 const double* inverse, std::size_t inverseStep, double* out);
 
-// The sum of the distances of a row, and the least.
-struct RowDistances {
-    double sum, least;
-};
-using RowDistancesFunction = RowDistances (*)(std::uint32_t pairs, const double* distance);
-
-struct PairRows {
-    const std::uint32_t* begin; // first pair
-    const std::uint32_t* count; // pairs, without pads
-    std::size_t rows;
+// What a row's sums are made with: powers of two. Infinite terms have no scale: `scale` is 0, and `inverse` infinite.
+struct RowScale {
+    double scale, inverse;
 };
 
-// Sums take pads for pairs: their weight has to be 0.
-//
-// For each row sum(weight factor), or sum(weight) where there is no factor.
-using SumsFunction = void (*)(const PairRows& rows, const double* weight, const double* factor, double* out);
+// Scales of terms that are at most `greatest` in each row, or as large as the row's own: the greatest of weight times the largest
+// magnitude among the factors, of which there are 0 to 3.
+using ScalesFunction = void (*)(const PairGroups& groups, const double* greatest, const double* weight,
+                                const double* const* factors, int factorCount, RowScale* out);
 
-// For each row the three sums of weight times x, y and z, one after the other, at one scale.
-using VectorSumsFunction = void (*)(const PairRows& rows, const double* weight, const double* x,
-                                    const double* y, const double* z, double* out);
+// For each row sum(weight), or sum(weight factor) of each factor, one after the other. `scratch`: kGroup numbers for each group and
+// one group more, times the number of sums.
+using SumsFunction = void (*)(const PairGroups& groups, const RowScale* scales, const double* weight,
+                              const double* const* factors, int factorCount, std::uint64_t* scratch,
+                              double* out);
 
-// For each row sum(weight (v - c) (v - c)^T), c its `centers`, three numbers each: xx, yy, zz, xy, xz, yz.
-using MomentSumsFunction = void (*)(const PairRows& rows, const double* weight, const double* x,
-                                    const double* y, const double* z, const double* centers, double* out);
+// For each row sum(weight (v - c) (v - c)^T), c its `centers`, three numbers each: xx, yy, zz, xy, xz, yz. `scratch`: for six sums.
+using MomentsFunction = void (*)(const PairGroups& groups, const double* weight, const double* x,
+                                 const double* y, const double* z, const double* centers, RowScale* scales,
+                                 std::uint64_t* scratch, double* out);
 
-// Eigenvalues and eigenvectors of symmetric matrices, as six sweeps of cyclic Jacobi rotations leave them, unordered.
-// `matrices`: as MomentSumsFunction writes them. `out`: for each three values, then the x of the three vectors, their y, their z.
+// For each row the least distance; infinity for one without pairs. Makes the distances of pads 0.
+using LeastFunction = void (*)(const PairGroups& groups, double* distance, double* out);
+
+// Eigenvalues and eigenvectors of symmetric matrices, as four sweeps of cyclic Jacobi rotations leave them, unordered.
+// `matrices`: as MomentsFunction writes them. `out`: for each three values, then the x of the three vectors, their y, their z.
 // Arrays of a multiple of kPairPad matrices.
 using EigenFunction = void (*)(const double* matrices, std::size_t count, double* out);
 constexpr std::size_t kEigenNumbers = 12;
@@ -113,10 +121,10 @@ struct MeasureKernels {
     VectorsFunction vectors[2]; // of floats, of doubles
     ScalarsFunction scalars[2];
     WeightsFunction weights;
-    RowDistancesFunction rowDistances;
+    ScalesFunction scales;
     SumsFunction sums;
-    VectorSumsFunction vectorSums;
-    MomentSumsFunction momentSums;
+    MomentsFunction moments;
+    LeastFunction least;
     EigenFunction eigen;
 };
 

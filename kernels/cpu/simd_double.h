@@ -1,8 +1,7 @@
 // Vectors of doubles for each instruction set: SimdD. Included by the search_*.cpp files only, each compiled with its own flags:
 // everything has internal linkage. All lanes do the same IEEE operations, so that results do not depend on their number.
 //
-// where(m, a, b) takes a in the lanes of m. first(v, n) has the lowest n lanes of v, and zeros; all, if there are no more.
-// Integers: added bit patterns of doubles, modulo 2^64; sum() is that of all lanes.
+// where(m, a, b) takes a in the lanes of m. Integers: added bit patterns of doubles, modulo 2^64; sum() is that of all lanes.
 #pragma once
 
 #include <cstddef>
@@ -39,12 +38,11 @@ struct SimdD {
     static D where(M m, D a, D b) { return _mm512_mask_blend_pd(m, b, a); }
     static I zero() { return _mm512_setzero_si512(); }
     static I addBits(I sum, D v) { return _mm512_add_epi64(sum, _mm512_castpd_si512(v)); }
+    static I difference(I a, I b) { return _mm512_sub_epi64(a, b); }
+    static I loadBits(const std::uint64_t* p) { return _mm512_loadu_si512(p); }
+    static void storeBits(std::uint64_t* p, I v) { _mm512_storeu_si512(p, v); }
     static std::uint64_t sum(I v) { return static_cast<std::uint64_t>(_mm512_reduce_add_epi64(v)); }
     static double greatest(D v) { return _mm512_reduce_max_pd(v); }
-    static D first(D v, std::ptrdiff_t n)
-    {
-        return n >= kLanes ? v : _mm512_maskz_mov_pd(static_cast<M>((1u << (n > 0 ? n : 0)) - 1), v);
-    }
 };
 
 #elif defined(VDB_NNS_SIMD_AVX2)
@@ -70,6 +68,12 @@ struct SimdD {
     static D where(M m, D a, D b) { return _mm256_blendv_pd(b, a, m); }
     static I zero() { return _mm256_setzero_si256(); }
     static I addBits(I sum, D v) { return _mm256_add_epi64(sum, _mm256_castpd_si256(v)); }
+    static I difference(I a, I b) { return _mm256_sub_epi64(a, b); }
+    static I loadBits(const std::uint64_t* p)
+    {
+        return _mm256_loadu_si256(reinterpret_cast<const __m256i*>(p));
+    }
+    static void storeBits(std::uint64_t* p, I v) { _mm256_storeu_si256(reinterpret_cast<__m256i*>(p), v); }
     static std::uint64_t sum(I v)
     {
         const __m128i two = _mm_add_epi64(_mm256_castsi256_si128(v), _mm256_extracti128_si256(v, 1));
@@ -80,11 +84,6 @@ struct SimdD {
     {
         const __m128d two = _mm_max_pd(_mm256_castpd256_pd128(v), _mm256_extractf128_pd(v, 1));
         return _mm_cvtsd_f64(_mm_max_sd(two, _mm_unpackhi_pd(two, two)));
-    }
-    static D first(D v, std::ptrdiff_t n)
-    {
-        const __m256i lane = _mm256_setr_epi64x(0, 1, 2, 3);
-        return _mm256_and_pd(v, _mm256_castsi256_pd(_mm256_cmpgt_epi64(_mm256_set1_epi64x(n), lane)));
     }
 };
 
@@ -111,6 +110,9 @@ struct SimdD {
     static D where(M m, D a, D b) { return _mm_blendv_pd(b, a, m); }
     static I zero() { return _mm_setzero_si128(); }
     static I addBits(I sum, D v) { return _mm_add_epi64(sum, _mm_castpd_si128(v)); }
+    static I difference(I a, I b) { return _mm_sub_epi64(a, b); }
+    static I loadBits(const std::uint64_t* p) { return _mm_loadu_si128(reinterpret_cast<const __m128i*>(p)); }
+    static void storeBits(std::uint64_t* p, I v) { _mm_storeu_si128(reinterpret_cast<__m128i*>(p), v); }
     static std::uint64_t sum(I v)
     {
         std::uint64_t lane[2];
@@ -118,10 +120,6 @@ struct SimdD {
         return lane[0] + lane[1];
     }
     static double greatest(D v) { return _mm_cvtsd_f64(_mm_max_sd(v, _mm_unpackhi_pd(v, v))); }
-    static D first(D v, std::ptrdiff_t n)
-    {
-        return n >= kLanes ? v : n == 1 ? _mm_move_sd(_mm_setzero_pd(), v) : _mm_setzero_pd();
-    }
 };
 
 #else
@@ -152,9 +150,11 @@ struct SimdD {
         std::memcpy(&bits, &v, sizeof bits);
         return sum + bits;
     }
+    static I difference(I a, I b) { return a - b; }
+    static I loadBits(const std::uint64_t* p) { return *p; }
+    static void storeBits(std::uint64_t* p, I v) { *p = v; }
     static std::uint64_t sum(I v) { return v; }
     static double greatest(D v) { return v; }
-    static D first(D v, std::ptrdiff_t n) { return n > 0 ? v : 0.0; }
 };
 
 #endif

@@ -8,9 +8,10 @@
 
 namespace vdb_nns {
 
-Components::Components(std::size_t count)
-    : mMemory(count * sizeof(Parent)), mParents(static_cast<Parent*>(mMemory.data()))
+Components::Components(std::size_t count, PageArray<char>& memory)
 {
+    memory.resizeDiscarding(count * sizeof(Parent));
+    mParents = reinterpret_cast<Parent*>(memory.data());
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 16384), [&](const auto& range) {
         for (std::size_t i = range.begin(); i < range.end(); ++i)
             new (mParents + i) Parent(static_cast<std::uint32_t>(i));

@@ -12,17 +12,26 @@ namespace vdb_nns {
 
 class Components {
 public:
-    // Each of so many numbers alone. 4 bytes a number.
-    explicit Components(std::size_t count);
+    // Each of so many numbers alone. Takes 4 bytes a number of `memory`, which outlives it.
+    Components(std::size_t count, PageArray<char>& memory);
 
     // Joins `a` with those numbers that are `wanted`; ones already known to be with it cost a look. Thread-safe.
     template <typename Wanted>
     void unite(std::uint32_t a, const std::uint32_t* with, std::uint32_t count, Wanted&& wanted)
     {
-        std::uint32_t root = find(a);
-        for (std::uint32_t k = 0; k < count; ++k) {
-            const std::uint32_t b = with[k];
-            if (wanted(b) && parent(b).load(std::memory_order_relaxed) != root) root = unite(root, b);
+        std::uint32_t k = 0;
+        while (k < count && !wanted(with[k])) ++k;
+        if (k == count) return;
+        std::uint32_t root = unite(a, with[k]);
+        // Mostly all are together already: one loop without branches tells.
+        const auto isApart = [&](std::uint32_t b) {
+            return wanted(b) & (parent(b).load(std::memory_order_relaxed) != root);
+        };
+        bool areApart = false;
+        for (std::uint32_t i = ++k; i < count; ++i) areApart |= isApart(with[i]);
+        if (!areApart) return;
+        for (; k < count; ++k) {
+            if (isApart(with[k])) root = unite(root, with[k]);
         }
     }
     // Root of a component. Thread-safe.
@@ -37,7 +46,6 @@ private:
     std::uint32_t unite(std::uint32_t a, std::uint32_t b);
     Parent& parent(std::uint32_t i) { return mParents[i]; }
 
-    PageBlock mMemory;
     Parent* mParents;
 };
 

@@ -198,15 +198,20 @@ private:
 // Takes the pairs of a pass.
 class ClusterPairs {
 public:
-    ClusterPairs(std::size_t particles, std::optional<CorePoints> cores, bool isSymmetric)
-        : mComponents(particles), mCores(std::move(cores)), mIsSymmetric(isSymmetric)
+    // Takes 4 bytes a particle of each of the two memories, which outlive it.
+    ClusterPairs(std::size_t particles, std::optional<CorePoints> cores, bool isSymmetric,
+                 PageArray<char> (&memory)[2])
+        : mComponents(particles, memory[0]),
+          mRankMemory(memory[1]),
+          mCores(std::move(cores)),
+          mIsSymmetric(isSymmetric)
     {
     }
 
     void add(std::uint32_t query, const std::uint32_t* neighbors, std::uint32_t count)
     {
         // Where every pair comes both ways, one is enough.
-        const auto isFirst = [&](std::uint32_t j) { return !mIsSymmetric || j < query; };
+        const auto isFirst = [&](std::uint32_t j) { return !mIsSymmetric | (j < query); };
         if (!mCores) {
             mComponents.unite(query, neighbors, count, isFirst);
         } else if (mCores->isCore(query)) {
@@ -245,8 +250,8 @@ public:
         };
         forEachChunkOfRoots([&](std::size_t chunk, std::size_t) { ++rootsBefore[chunk + 1]; });
         for (std::size_t chunk = 0; chunk < chunks; ++chunk) rootsBefore[chunk + 1] += rootsBefore[chunk];
-        PageArray<std::uint32_t> rank;
-        rank.resizeDiscarding(particles);
+        mRankMemory.resizeDiscarding(particles * sizeof(std::uint32_t));
+        auto* const rank = reinterpret_cast<std::uint32_t*>(mRankMemory.data());
         std::vector<std::uint32_t> next(rootsBefore);
         forEachChunkOfRoots([&](std::size_t chunk, std::size_t i) { rank[i] = next[chunk]++; });
 
@@ -285,6 +290,7 @@ public:
 
 private:
     Components mComponents;
+    PageArray<char>& mRankMemory;
     std::optional<CorePoints> mCores;
     bool mIsSymmetric;
 };
@@ -413,7 +419,8 @@ private:
             std::optional<CorePoints> cores;
             if (mOptions.minNeighbors)
                 cores.emplace(mEngine.search(mSets, mSearch), *mOptions.minNeighbors, mCancel);
-            clusters.emplace(mSets.rowCount(), std::move(cores), mSets.data().radius.isOne());
+            clusters.emplace(mSets.rowCount(), std::move(cores), mSets.data().radius.isOne(),
+                             mState.clusters);
         }
         std::vector<std::unique_ptr<AveragedValues>> values;
         const std::vector<AveragedAttribute> averaged = readAveraged(values, skipped);

@@ -10,12 +10,12 @@ namespace vdb_nns {
 
 namespace {
 
-constexpr std::size_t kBatchPairs = 512; // whose columns fit the first-level cache
+constexpr std::size_t kBatchGroups = 64; // whose columns fit the first-level cache
 constexpr double kPi = 3.14159265358979323846;
 
-std::size_t padded(std::size_t pairs)
+std::size_t groupsOf(std::size_t pairs)
 {
-    return (pairs + kPairPad - 1) / kPairPad * kPairPad;
+    return (pairs + kGroup - 1) / kGroup;
 }
 
 PairWeight weightOf(SmoothingKernel kernel)
@@ -54,13 +54,13 @@ double cube(double x)
     return x * x * x;
 }
 
-// Of x in (0, 1], by Newton's steps from 2^-k / 2, k >= 0: the C library's differs from version to version.
-double cubeRoot(double x)
+// 1 / cbrt(x) of x in (0, 1]: the C library's cube root differs from version to version.
+double inverseCubeRoot(double x)
 {
     double scale = 1;
-    for (; x < 0.125; x *= 8) scale *= 0.5;
-    double y = 0.5 + 0.5 * x; // above the root
-    for (int step = 0; step < 6; ++step) y = (2 * y + x / (y * y)) / 3;
+    for (; x < 0.125; x *= 8) scale *= 2;
+    double y = 2.1 - 1.15 * x; // Newton's steps, without a division, from within 20 %
+    for (int step = 0; step < 6; ++step) y = y * ((4 - x * (y * y * y)) * (1.0 / 3));
     return y * scale;
 }
 
@@ -102,138 +102,6 @@ private:
     }
 };
 
-} // namespace
-
-RowBatch::RowBatch(const RowMeasures& measures)
-    : mMeasures(measures),
-      mTargets(measures.targets),
-      mWantsWeights(mTargets.density || mTargets.normal || mTargets.eigenvalues ||
-                    !mTargets.averages.empty()),
-      mWantsVectors(mTargets.normal || mTargets.eigenvalues || mTargets.stretch),
-      mWantsNumbers(!mTargets.averages.empty() || (mTargets.density && !measures.options.masses.empty())),
-      mHasRadii(!measures.sets.radius.isOne()),
-      mIsByPair(mHasRadii && measures.sets.radius.mode != RadiusMode::kGather)
-{
-    reserve(2 * kBatchPairs);
-}
-
-void RowBatch::reserve(std::size_t pairs)
-{
-    if (pairs <= mCapacity) return;
-    const std::size_t capacity = padded(pairs + pairs / 2);
-    PageArray<double> grown;
-    grown.resizeDiscarding(capacity * kColumns);
-    for (std::size_t c = 0; c < kColumns && mUsed > 0; ++c)
-        std::memcpy(grown.data() + c * capacity, column(static_cast<Column>(c)), mUsed * sizeof(double));
-    PageArray<std::uint32_t> numbers;
-    numbers.resizeDiscarding(capacity);
-    if (mUsed > 0) std::memcpy(numbers.data(), mNumbers.data(), mUsed * sizeof(std::uint32_t));
-    mPairs = std::move(grown);
-    mNumbers = std::move(numbers);
-    mCapacity = capacity;
-}
-
-void RowBatch::add(std::uint32_t query, const std::uint32_t* neighbors, std::uint32_t count)
-{
-    const std::size_t begin = mUsed, end = begin + padded(count);
-    reserve(end);
-    // A radius that reaches nobody does not reach the query itself.
-    const bool isOwn = mMeasures.sets.isCandidate(query) &&
-                       (!mHasRadii || radiusOfPair(mMeasures.sets.radius, query, query) > 0);
-    Row row{query, isOwn ? 1.0 : 0.0, isOwn ? 1.0 : 0.0, mMeasures.radius, 0, 0};
-    if (count > 0) {
-        const PairPositions& positions = mMeasures.positions;
-        mMeasures.kernels.pairs[static_cast<std::size_t>(positions.record())](
-            positions.query(query), positions.candidates(), positions.map(), neighbors, count,
-            mWantsVectors ? column(kX) + begin : nullptr, column(kY) + begin, column(kZ) + begin,
-            column(kDistance) + begin);
-        if (mWantsNumbers) {
-            std::memcpy(mNumbers.data() + begin, neighbors, count * sizeof(std::uint32_t));
-            std::fill(mNumbers.data() + begin + count, mNumbers.data() + end, neighbors[count - 1]);
-        }
-    }
-    if (mHasRadii && (count > 0 || isOwn)) setRadii(row, neighbors, count, begin);
-    if (count > 0) {
-        weigh(row, begin, count);
-        writeDistances(query, begin, count);
-    }
-    mRows.push_back(row);
-    mBegin.push_back(static_cast<std::uint32_t>(begin));
-    mCount.push_back(count);
-    mUsed = end;
-    if (mUsed >= kBatchPairs || mRows.size() >= kBatchPairs) flush();
-}
-
-void RowBatch::setRadii(Row& row, const std::uint32_t* neighbors, std::uint32_t count, std::size_t begin)
-{
-    const Radius& radius = mMeasures.sets.radius;
-    double* const inverse = column(kInverse) + begin;
-    if (!mIsByPair) {
-        row.reference = radius.ofQueries[row.query];
-        std::fill(inverse, inverse + padded(count), 1 / row.reference);
-        return;
-    }
-    for (std::size_t k = 0; k < padded(count); ++k) {
-        const std::uint32_t j = neighbors[std::min<std::size_t>(k, count - 1)];
-        inverse[k] = 1 / radiusOfPair(radius, row.query, j);
-    }
-    if (row.isOwn == 0) return;
-    const double own = radiusOfPair(radius, row.query, row.query);
-    row.ownWeight = own > 0 ? cube(row.reference / own) : 0;
-}
-
-// W is a weight times W(0) of the row's reference: where radii differ from pair to pair, by the cube of its ratio to them.
-void RowBatch::scaleByRadii(Row& row, std::size_t begin, std::uint32_t count)
-{
-    double* const weight = column(kWeight) + begin;
-    const double* const inverse = column(kInverse) + begin;
-    for (std::size_t k = 0; k < count; ++k) weight[k] *= cube(row.reference * inverse[k]);
-    const std::uint32_t first = 0;
-    mMeasures.kernels.sums({&first, &count, 1}, weight, nullptr, &row.weights);
-}
-
-void RowBatch::weigh(Row& row, std::size_t begin, std::uint32_t count)
-{
-    const double one = 1 / mMeasures.radius;
-    const double* const inverse = mHasRadii ? column(kInverse) + begin : &one;
-    const std::size_t step = mHasRadii ? 1 : 0;
-    const double* const distance = column(kDistance) + begin;
-    // The query's own weight is 1, the largest.
-    if (mWantsWeights) {
-        row.weights = mMeasures.kernels.weights(weightOf(mMeasures.options.kernel), count, distance, inverse,
-                                                step, row.isOwn, column(kWeight) + begin);
-        if (mIsByPair) scaleByRadii(row, begin, count);
-    }
-    if (mTargets.stretch) {
-        row.pcaWeights = mMeasures.kernels.weights(PairWeight::kPca, count, distance, inverse, step,
-                                                   row.isOwn, column(kPcaWeight) + begin);
-    }
-}
-
-void RowBatch::writeDistances(std::uint32_t query, std::size_t begin, std::uint32_t count)
-{
-    if (!mTargets.meanDistance && !mTargets.nearestDistance) return;
-    const RowDistances row = mMeasures.kernels.rowDistances(count, column(kDistance) + begin);
-    if (mTargets.meanDistance) mTargets.meanDistance[query] = static_cast<float>(row.sum / count);
-    if (mTargets.nearestDistance) mTargets.nearestDistance[query] = static_cast<float>(row.least);
-}
-
-const double* RowBatch::sums(const PairRows& rows, Column weight, const double* factor)
-{
-    mSums.resize(rows.rows);
-    mMeasures.kernels.sums(rows, column(weight), factor, mSums.data());
-    return mSums.data();
-}
-
-void RowBatch::sumVectors(const PairRows& rows, Column weight, Column x)
-{
-    mVectors.resize(3 * rows.rows);
-    mMeasures.kernels.vectorSums(rows, column(weight), column(x), column(x + 1), column(x + 2),
-                                 mVectors.data());
-}
-
-namespace {
-
 // Component c of the value of a particle.
 double valueOf(const AveragedAttribute& attribute, std::size_t number, std::size_t c)
 {
@@ -251,41 +119,221 @@ void putReal(AttributeType type, void* out, std::size_t at, double value)
     }
 }
 
+// With its contents.
+template <typename T>
+void growTo(PageArray<T>& array, std::size_t used, std::size_t size)
+{
+    PageArray<T> grown;
+    grown.resizeDiscarding(size);
+    if (used > 0) std::memcpy(grown.data(), array.data(), used * sizeof(T));
+    array = std::move(grown);
+}
+
 } // namespace
 
-void RowBatch::writeAverage(const MeasureTargets::Average& average, const PairRows& rows)
+RowBatch::RowBatch(const RowMeasures& measures)
+    : mMeasures(measures),
+      mTargets(measures.targets),
+      mWantsWeights(mTargets.density || mTargets.normal || mTargets.eigenvalues ||
+                    !mTargets.averages.empty()),
+      mWantsVectors(mTargets.normal || mTargets.eigenvalues || mTargets.stretch),
+      mHasRadii(!measures.sets.radius.isOne()),
+      mIsByPair(mHasRadii && measures.sets.radius.mode != RadiusMode::kGather)
+{
+    reserve(2 * kBatchGroups);
+}
+
+void RowBatch::reserve(std::size_t groups)
+{
+    if (groups <= mCapacity) return;
+    const std::size_t capacity = groups + groups / 2;
+    PageArray<double> grown;
+    grown.resizeDiscarding(capacity * kGroup * kColumns);
+    // The radii are the only numbers of pairs that are there before a batch is complete.
+    if (mUsed > 0 && mHasRadii)
+        std::memcpy(grown.data() + kInverse * capacity * kGroup, column(kInverse),
+                    mUsed * kGroup * sizeof(double));
+    mPairs = std::move(grown);
+    growTo(mNumbers, mUsed * kGroup, capacity * kGroup);
+    growTo(mGroupRow, mUsed, capacity);
+    growTo(mGroupPairs, mUsed, capacity);
+    mCapacity = capacity;
+}
+
+void RowBatch::add(std::uint32_t query, const std::uint32_t* neighbors, std::uint32_t count)
+{
+    const std::size_t first = mUsed, end = first + groupsOf(count);
+    reserve(end);
+    const auto r = static_cast<std::uint32_t>(mRows.size());
+    std::uint32_t* numbers = mNumbers.data() + first * kGroup;
+    const std::size_t whole = count / kGroup;
+    for (std::size_t g = 0; g < whole; ++g) {
+        std::memcpy(numbers + g * kGroup, neighbors + g * kGroup, kGroup * sizeof(std::uint32_t));
+        mGroupRow[first + g] = r;
+        mGroupPairs[first + g] = kGroup;
+    }
+    if (whole < end - first) {
+        numbers += whole * kGroup;
+        neighbors += whole * kGroup;
+        const std::uint32_t left = count % kGroup;
+        for (std::uint32_t k = 0; k < kGroup; ++k) numbers[k] = neighbors[std::min(k, left - 1)];
+        mGroupRow[first + whole] = r;
+        mGroupPairs[first + whole] = left;
+    }
+    // A radius that reaches nobody does not reach the query itself.
+    const bool isOwn = mMeasures.sets.isCandidate(query) &&
+                       (!mHasRadii || radiusOfPair(mMeasures.sets.radius, query, query) > 0);
+    mOwn.push_back(isOwn ? 1 : 0);
+    mRows.push_back({query, count, mOwn.back(), mMeasures.radius});
+    mFirstGroup.push_back(static_cast<std::uint32_t>(first));
+    mQueries.push_back(mMeasures.positions.query(query));
+    mUsed = end;
+    if (mHasRadii && (count > 0 || isOwn)) setRadii(mRows.back(), first);
+    if (mUsed >= kBatchGroups || mRows.size() >= kBatchGroups) flush();
+}
+
+void RowBatch::setRadii(Row& row, std::size_t firstGroup)
+{
+    const Radius& radius = mMeasures.sets.radius;
+    double* const inverse = column(kInverse);
+    const std::size_t begin = firstGroup * kGroup, end = mUsed * kGroup;
+    if (!mIsByPair) {
+        row.reference = radius.ofQueries[row.query];
+        std::fill(inverse + begin, inverse + end, 1 / row.reference);
+        return;
+    }
+    for (std::size_t k = begin; k < end; ++k) inverse[k] = 1 / radiusOfPair(radius, row.query, mNumbers[k]);
+    if (row.ownWeight > 0) row.ownWeight = cube(row.reference / radiusOfPair(radius, row.query, row.query));
+}
+
+void RowBatch::makePairs()
+{
+    const PairPositions& positions = mMeasures.positions;
+    mMeasures.kernels.pairs[static_cast<std::size_t>(positions.record())](
+        mGroups, positions.candidates(), positions.map(), mWantsVectors ? column(kX) : nullptr, column(kY),
+        column(kZ), column(kDistance));
+}
+
+// W is a weight times W(0) of the row's reference: where radii differ from pair to pair, by the cube of its ratio to them.
+void RowBatch::scaleByRadii()
+{
+    double* const weight = column(kWeight);
+    const double* const inverse = column(kInverse);
+    for (std::size_t k = 0; k < mUsed * kGroup; ++k)
+        weight[k] *= cube(mRows[mGroupRow[k / kGroup]].reference * inverse[k]);
+}
+
+void RowBatch::weigh()
+{
+    const MeasureKernels& kernels = mMeasures.kernels;
+    const double one = 1 / mMeasures.radius;
+    const double* const inverse = mHasRadii ? column(kInverse) : &one;
+    const std::size_t step = mHasRadii ? 1 : 0;
+    if (mWantsWeights) {
+        kernels.weights(weightOf(mMeasures.options.kernel), mGroups, column(kDistance), inverse, step,
+                        column(kWeight));
+        if (mIsByPair) scaleByRadii();
+        sum(kWeight, 0, kFactorX, !mIsByPair, mWeightSums);
+    }
+    if (mTargets.stretch) {
+        kernels.weights(PairWeight::kPca, mGroups, column(kDistance), inverse, step, column(kPcaWeight));
+        sum(kPcaWeight, 0, kFactorX, true, mPcaSums);
+    }
+}
+
+// `isBounded`: by the weight of the query itself, which is the largest there is.
+void RowBatch::sum(Column weight, int factorCount, Column firstFactor, bool isBounded,
+                   std::vector<double>& out)
+{
+    const double* factors[3];
+    for (int f = 0; f < factorCount; ++f) factors[f] = column(firstFactor + f);
+    const std::size_t each = static_cast<std::size_t>(std::max(factorCount, 1));
+    mScales.resize(mGroups.rows);
+    mScratch.resize(std::max(mScratch.size(), (mUsed + 1) * kGroup * each));
+    out.resize(mGroups.rows * each);
+    mMeasures.kernels.scales(mGroups, isBounded ? mOwn.data() : nullptr, column(weight), factors, factorCount,
+                             mScales.data());
+    mMeasures.kernels.sums(mGroups, mScales.data(), column(weight), factors, factorCount, mScratch.data(),
+                           out.data());
+}
+
+void RowBatch::writeDistances()
+{
+    if (!mTargets.meanDistance && !mTargets.nearestDistance) return;
+    mSums.resize(mGroups.rows);
+    mMeasures.kernels.least(mGroups, column(kDistance), mSums.data());
+    for (std::size_t r = 0; r < mRows.size() && mTargets.nearestDistance; ++r) {
+        if (mRows[r].count > 0) mTargets.nearestDistance[mRows[r].query] = static_cast<float>(mSums[r]);
+    }
+    if (!mTargets.meanDistance) return;
+    sum(kDistance, 0, kFactorX, false, mSums);
+    for (std::size_t r = 0; r < mRows.size(); ++r) {
+        if (mRows[r].count > 0)
+            mTargets.meanDistance[mRows[r].query] = static_cast<float>(mSums[r] / mRows[r].count);
+    }
+}
+
+void RowBatch::writeDensities()
+{
+    const MeasureOptions& options = mMeasures.options;
+    const bool hasMasses = !options.masses.empty();
+    if (hasMasses) {
+        mMeasures.kernels.scalars[1](mGroups, options.masses.data(), column(kFactorX));
+        sum(kWeight, 1, kFactorX, false, mSums);
+    }
+    const double atZero = weightAtZero(options.kernel);
+    for (std::size_t r = 0; r < mRows.size(); ++r) {
+        const Row& row = mRows[r];
+        const double own = row.ownWeight > 0 && hasMasses ? row.ownWeight * options.masses[row.query] : 0;
+        const double total = hasMasses ? mSums[r] + own : options.mass * (mWeightSums[r] + row.ownWeight);
+        mTargets.density[row.query] = static_cast<float>(total * (atZero / cube(row.reference)));
+    }
+}
+
+void RowBatch::writeAverage(const MeasureTargets::Average& average)
 {
     const AveragedAttribute& attribute = mMeasures.averaged[average.attribute];
     const MeasureKernels& kernels = mMeasures.kernels;
     Column weight = kWeight;
     if (attribute.valid) {
         weight = kValidWeight;
-        for (std::size_t k = 0; k < mUsed; ++k)
+        for (std::size_t k = 0; k < mUsed * kGroup; ++k)
             column(kValidWeight)[k] = column(kWeight)[k] * attribute.valid[mNumbers[k]];
-        mValidSums.resize(rows.rows);
-        kernels.sums(rows, column(kValidWeight), nullptr, mValidSums.data());
+        sum(kValidWeight, 0, kFactorX, false, mValidSums);
     }
     const std::size_t width = attribute.isVector ? 3 : 1;
-    const double* sum = nullptr;
     if (attribute.isVector) {
-        kernels.vectors[attribute.isDouble](attribute.values, mNumbers.data(), mUsed, column(kFactorX),
-                                            column(kFactorY), column(kFactorZ));
-        sumVectors(rows, weight, kFactorX);
-        sum = mVectors.data();
+        kernels.vectors[attribute.isDouble](mGroups, attribute.values, column(kFactorX), column(kFactorY),
+                                            column(kFactorZ));
     } else {
-        kernels.scalars[attribute.isDouble](attribute.values, mNumbers.data(), mUsed, column(kFactorX));
-        sum = sums(rows, weight, column(kFactorX));
+        kernels.scalars[attribute.isDouble](mGroups, attribute.values, column(kFactorX));
     }
-    for (std::size_t r = 0; r < rows.rows; ++r) {
+    sum(weight, static_cast<int>(width), kFactorX, false, mSums);
+    for (std::size_t r = 0; r < mRows.size(); ++r) {
         const std::size_t query = mRows[r].query;
-        const bool hasOwn = mRows[r].isOwn != 0 && (!attribute.valid || attribute.valid[query] != 0);
+        const bool hasOwn = mOwn[r] > 0 && (!attribute.valid || attribute.valid[query] != 0);
         const double own = hasOwn ? mRows[r].ownWeight : 0;
-        const double total = (attribute.valid ? mValidSums[r] : mRows[r].weights) + own;
+        const double total = (attribute.valid ? mValidSums[r] : mWeightSums[r]) + own;
         if (!(total > 0)) continue;
         for (std::size_t c = 0; c < width; ++c) {
             const double ownTerm = hasOwn ? own * valueOf(attribute, query, c) : 0;
-            putReal(average.type, average.out, width * query + c, (sum[width * r + c] + ownTerm) / total);
+            putReal(average.type, average.out, width * query + c, (mSums[width * r + c] + ownTerm) / total);
         }
+    }
+}
+
+// Of the sums of W (x_j - x_i).
+void RowBatch::writeNormals()
+{
+    for (std::size_t r = 0; r < mRows.size(); ++r) {
+        const double* const v = mVectors.data() + 3 * r;
+        // In units of the largest component, so that nothing passes the range.
+        const double largest = std::max({std::fabs(v[0]), std::fabs(v[1]), std::fabs(v[2])});
+        if (!(largest > 0) || !std::isfinite(largest)) continue;
+        const double u[3] = {v[0] / largest, v[1] / largest, v[2] / largest};
+        const double length = std::sqrt((u[0] * u[0] + u[1] * u[1]) + u[2] * u[2]);
+        for (std::size_t c = 0; c < 3; ++c)
+            mTargets.normal[3 * mRows[r].query + c] = static_cast<float>(-u[c] / length);
     }
 }
 
@@ -296,15 +344,15 @@ void RowBatch::writePca(const double* eigen, std::size_t r)
     if (pca.average > 0) {
         for (std::size_t c = 0; c < 3; ++c) mTargets.pws[3 * query + c] += pca.average * mCenters[3 * r + c];
     }
-    const std::uint64_t points = mCount[r] + (mRows[r].isOwn != 0 ? 1u : 0u);
+    const std::uint64_t points = std::uint64_t(mRows[r].count) + (mOwn[r] > 0 ? 1 : 0);
     if (pca.threshold == 0 || points < pca.threshold) return;
     mTargets.ellipsoids[query] = 1;
     const Axes axes(eigen);
     double length[3] = {1, 1, 1};
     if (axes.value[0] > 0) {
         for (int k = 1; k < 3; ++k) length[k] = std::max(axes.value[k] / axes.value[0], pca.anisotropy);
-        const double root = cubeRoot(length[1]) * cubeRoot(length[2]);
-        for (double& l : length) l /= root;
+        const double by = inverseCubeRoot(length[1]) * inverseCubeRoot(length[2]);
+        for (double& l : length) l *= by;
     }
     for (std::size_t k = 0; k < 3; ++k) {
         mTargets.stretch[3 * query + k] = static_cast<float>(length[k]);
@@ -320,36 +368,37 @@ void RowBatch::writeEigenvalues(const double* eigen, std::size_t r)
         mTargets.eigenvalues[3 * mRows[r].query + k] = static_cast<float>(axes.value[k]);
 }
 
-// Weighted means and moments about them; mVectors has the sums of W (x_j - x_i).
-void RowBatch::writeAxes(const PairRows& rows, Column weight, bool isPca)
+// Weighted means and moments about them; mVectors has the sums of the weight times x_j - x_i.
+void RowBatch::writeAxes(Column weight, bool isPca)
 {
-    const std::size_t count = rows.rows;
-    mCenters.assign(3 * count, 0.0);
-    std::vector<double>& totals = mTotals;
-    totals.resize(count);
-    for (std::size_t r = 0; r < count; ++r) {
-        const Row& row = mRows[r];
-        totals[r] = isPca ? row.pcaWeights + row.isOwn : row.weights + row.ownWeight;
-        if (!(totals[r] > 0)) continue;
-        for (std::size_t c = 0; c < 3; ++c) mCenters[3 * r + c] = mVectors[3 * r + c] / totals[r];
+    const std::size_t rows = mRows.size(), padded = (rows + kPairPad - 1) / kPairPad * kPairPad;
+    const auto ownOf = [&](std::size_t r) { return isPca ? mOwn[r] : mRows[r].ownWeight; };
+    const std::vector<double>& weightSums = isPca ? mPcaSums : mWeightSums;
+    mCenters.assign(3 * rows, 0.0);
+    mTotals.resize(rows);
+    for (std::size_t r = 0; r < rows; ++r) {
+        mTotals[r] = weightSums[r] + ownOf(r);
+        if (!(mTotals[r] > 0)) continue;
+        for (std::size_t c = 0; c < 3; ++c) mCenters[3 * r + c] = mVectors[3 * r + c] / mTotals[r];
     }
-    mMoments.assign(6 * padded(count), 0.0);
-    mMeasures.kernels.momentSums(rows, column(weight), column(kX), column(kY), column(kZ), mCenters.data(),
-                                 mMoments.data());
-    for (std::size_t r = 0; r < count; ++r) {
-        const double own = isPca ? mRows[r].isOwn : mRows[r].ownWeight;
+    mMoments.assign(6 * padded, 0.0);
+    mScales.resize(rows);
+    mScratch.resize(std::max(mScratch.size(), (mUsed + 1) * kGroup * 6));
+    mMeasures.kernels.moments(mGroups, column(weight), column(kX), column(kY), column(kZ), mCenters.data(),
+                              mScales.data(), mScratch.data(), mMoments.data());
+    for (std::size_t r = 0; r < rows; ++r) {
         const double* const c = mCenters.data() + 3 * r;
         const double ofOwn[6] = {c[0] * c[0], c[1] * c[1], c[2] * c[2],
                                  c[0] * c[1], c[0] * c[2], c[1] * c[2]};
         for (std::size_t p = 0; p < 6; ++p) {
             double& moment = mMoments[6 * r + p];
-            moment = totals[r] > 0 ? (moment + own * ofOwn[p]) / totals[r] : 0;
+            moment = mTotals[r] > 0 ? (moment + ownOf(r) * ofOwn[p]) / mTotals[r] : 0;
         }
     }
-    mEigen.resize(kEigenNumbers * padded(count));
-    mMeasures.kernels.eigen(mMoments.data(), padded(count), mEigen.data());
-    for (std::size_t r = 0; r < count; ++r) {
-        if (!(totals[r] > 0)) continue;
+    mEigen.resize(kEigenNumbers * padded);
+    mMeasures.kernels.eigen(mMoments.data(), padded, mEigen.data());
+    for (std::size_t r = 0; r < rows; ++r) {
+        if (!(mTotals[r] > 0)) continue;
         const double* const eigen = mEigen.data() + kEigenNumbers * r;
         if (isPca) {
             writePca(eigen, r);
@@ -362,53 +411,31 @@ void RowBatch::writeAxes(const PairRows& rows, Column weight, bool isPca)
 void RowBatch::flush()
 {
     if (mRows.empty()) return;
-    const PairRows rows{mBegin.data(), mCount.data(), mRows.size()};
-    if (mTargets.density) writeDensities(rows);
-    for (const MeasureTargets::Average& average : mTargets.averages) writeAverage(average, rows);
-    if (mTargets.normal || mTargets.eigenvalues) sumVectors(rows, kWeight, kX);
+    mFirstGroup.push_back(static_cast<std::uint32_t>(mUsed));
+    mGroups = {mUsed,
+               mRows.size(),
+               mNumbers.data(),
+               mGroupRow.data(),
+               mGroupPairs.data(),
+               mFirstGroup.data(),
+               mQueries.data()};
+    makePairs();
+    weigh();
+    if (mTargets.density) writeDensities();
+    for (const MeasureTargets::Average& average : mTargets.averages) writeAverage(average);
+    if (mTargets.normal || mTargets.eigenvalues) sum(kWeight, 3, kX, false, mVectors);
     if (mTargets.normal) writeNormals();
-    if (mTargets.eigenvalues) writeAxes(rows, kWeight, false);
+    if (mTargets.eigenvalues) writeAxes(kWeight, false);
     if (mTargets.stretch) {
-        sumVectors(rows, kPcaWeight, kX);
-        writeAxes(rows, kPcaWeight, true);
+        sum(kPcaWeight, 3, kX, false, mVectors);
+        writeAxes(kPcaWeight, true);
     }
+    writeDistances();
     mRows.clear();
-    mBegin.clear();
-    mCount.clear();
+    mOwn.clear();
+    mFirstGroup.clear();
+    mQueries.clear();
     mUsed = 0;
-}
-
-void RowBatch::writeDensities(const PairRows& rows)
-{
-    const MeasureOptions& options = mMeasures.options;
-    const double* sum = nullptr;
-    const bool hasMasses = !options.masses.empty();
-    if (hasMasses) {
-        mMeasures.kernels.scalars[1](options.masses.data(), mNumbers.data(), mUsed, column(kFactorX));
-        sum = sums(rows, kWeight, column(kFactorX));
-    }
-    const double atZero = weightAtZero(options.kernel);
-    for (std::size_t r = 0; r < rows.rows; ++r) {
-        const Row& row = mRows[r];
-        const double total = hasMasses
-                                 ? sum[r] + (row.isOwn != 0 ? row.ownWeight * options.masses[row.query] : 0)
-                                 : options.mass * (row.weights + row.ownWeight);
-        mTargets.density[row.query] = static_cast<float>(total * (atZero / cube(row.reference)));
-    }
-}
-
-void RowBatch::writeNormals()
-{
-    for (std::size_t r = 0; r < mRows.size(); ++r) {
-        const double* const v = mVectors.data() + 3 * r;
-        // In units of the largest component, so that nothing passes the range.
-        const double largest = std::max({std::fabs(v[0]), std::fabs(v[1]), std::fabs(v[2])});
-        if (!(largest > 0) || !std::isfinite(largest)) continue;
-        const double u[3] = {v[0] / largest, v[1] / largest, v[2] / largest};
-        const double length = std::sqrt((u[0] * u[0] + u[1] * u[1]) + u[2] * u[2]);
-        for (std::size_t c = 0; c < 3; ++c)
-            mTargets.normal[3 * mRows[r].query + c] = static_cast<float>(-u[c] / length);
-    }
 }
 
 } // namespace vdb_nns

@@ -44,11 +44,9 @@ public:
 
 private:
     struct Row {
-        std::uint32_t query;
-        double ownWeight;           // of the query in the sums of W: 0 where it is no candidate
-        double isOwn;               // 1 where it is one
-        double reference;           // radius that W is a multiple of
-        double weights, pcaWeights; // sums over the pairs
+        std::uint32_t query, count;
+        double ownWeight; // of the query in the sums of W: 0 where it is no candidate
+        double reference; // radius that W is a multiple of
     };
     // Numbers of doubles a pair.
     enum Column {
@@ -58,7 +56,7 @@ private:
         kDistance,
         kWeight,
         kPcaWeight,
-        kInverse,
+        kInverse, // of the pair's radius
         kValidWeight,
         kFactorX, // values of an attribute, masses
         kFactorY,
@@ -66,31 +64,38 @@ private:
         kColumns
     };
 
-    double* column(int c) { return mPairs.data() + static_cast<std::size_t>(c) * mCapacity; }
-    // Keeps the pairs that are there.
-    void reserve(std::size_t pairs);
-    void setRadii(Row& row, const std::uint32_t* neighbors, std::uint32_t count, std::size_t begin);
-    void weigh(Row& row, std::size_t begin, std::uint32_t count);
-    void writeDistances(std::uint32_t query, std::size_t begin, std::uint32_t count);
-    void scaleByRadii(Row& row, std::size_t begin, std::uint32_t count);
-    void writeDensities(const PairRows& rows);
+    double* column(int c) { return mPairs.data() + static_cast<std::size_t>(c) * mCapacity * kGroup; }
+    // Keeps the groups that are there.
+    void reserve(std::size_t groups);
+    void setRadii(Row& row, std::size_t firstGroup);
+    void makePairs();
+    void weigh();
+    void scaleByRadii();
+    void sum(Column weight, int factorCount, Column firstFactor, bool isBounded, std::vector<double>& out);
+    void writeDensities();
+    void writeAverage(const MeasureTargets::Average& average);
     void writeNormals();
-    void writeAxes(const PairRows& rows, Column weight, bool isPca);
+    void writeAxes(Column weight, bool isPca);
     void writePca(const double* eigen, std::size_t r);
     void writeEigenvalues(const double* eigen, std::size_t r);
-    const double* sums(const PairRows& rows, Column weight, const double* factor);
-    void sumVectors(const PairRows& rows, Column weight, Column x);
-    void writeAverage(const MeasureTargets::Average& average, const PairRows& rows);
+    void writeDistances();
 
     const RowMeasures& mMeasures;
     const MeasureTargets& mTargets;
-    const bool mWantsWeights, mWantsVectors, mWantsNumbers, mHasRadii, mIsByPair;
-    std::size_t mCapacity = 0, mUsed = 0;
+    const bool mWantsWeights, mWantsVectors, mHasRadii, mIsByPair;
+    std::size_t mCapacity = 0, mUsed = 0; // groups
+    PairGroups mGroups{};
     PageArray<double> mPairs;
-    PageArray<std::uint32_t> mNumbers; // of the candidate of each pair; pads repeat the last
+    PageArray<std::uint32_t> mNumbers, mGroupRow, mGroupPairs; // PairGroups::numbers, row, pairs
+    std::vector<std::uint32_t> mFirstGroup;
+    std::vector<const void*> mQueries; // their positions
     std::vector<Row> mRows;
-    std::vector<std::uint32_t> mBegin, mCount;
-    std::vector<double> mSums, mValidSums, mTotals, mVectors, mCenters, mMoments, mEigen;
+    std::vector<double> mOwn; // of each row: 1 where the query is a candidate, else 0
+    std::vector<RowScale> mScales;
+    std::vector<std::uint64_t> mScratch;
+    // By row.
+    std::vector<double> mWeightSums, mPcaSums, mSums, mValidSums, mTotals, mVectors, mCenters, mMoments,
+        mEigen;
 };
 
 } // namespace vdb_nns

@@ -117,6 +117,7 @@ struct EngineState {
     SearchStatistics statistics;
     std::vector<OpenedDevice> devices; // of the last run on devices; not the simulated ones
     PageArray<char> positions[2];      // of candidates and queries, for measures
+    PageArray<char> clusters[2];       // 4 bytes a particle each
     std::vector<std::shared_ptr<PageBlock>>
         results; // of measures; those that nobody else holds are used again
 

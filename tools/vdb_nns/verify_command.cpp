@@ -290,10 +290,9 @@ int verifyFile(const VerifyFlags& flags, const QueryPlan& plan, const VerifyOpti
     terms.includeSelf = plan.includeSelf;
     if (ResultFile::holdsValues(flags.result)) {
         const std::string& grid = input.queries ? flags.query.queriesGrid : flags.input.grid;
-        progress.begin("verify", 0.2, 1);
         const MeasureTask task{
             flags.result, isVdb(queriesPath) ? grid : std::string(), flags.measures, input, terms, options};
-        return deliver(flags, checked, checkResult(task, &progress), progress, watch);
+        return deliver(flags, checked, checkResult(task, {progress, 0.2, 1}), progress, watch);
     }
     checkListFlags(flags);
     const ListsFile lists = ListsFile::open(flags.result, &progress);

@@ -31,15 +31,18 @@ std::vector<std::string> measuresOf(const ResultFile& result, const MeasureTask&
         for (const std::string& of : result.namesBehind(task.flags.prefix + name, attributes))
             found.push_back(name + of);
     }
-    if (!found.empty()) return found;
-    throw InvalidInput(task.result + ": has no measure, whose names begin with '" + task.flags.prefix +
-                       "'; search writes them (--attributes), and another beginning is named by --prefix");
+    if (!found.empty() || result.isEmpty()) return found;
+    throw InvalidInput(task.result + ": has no attribute of a measure: none begins with '" +
+                       task.flags.prefix + "' and the name of one (--prefix), and there are none of pca");
 }
 
 } // namespace
 
-MeasureReport checkResult(const MeasureTask& task, Progress* progress)
+MeasureReport checkResult(const MeasureTask& task, const ProgressSpan& span)
 {
+    Progress* const progress = &span.printer;
+    const double read = span.begin + 0.1 * (span.end - span.begin); // a rough share, for progress only
+    span.printer.begin("read", span.begin, read);
     const ResultFile result(task.result, task.grid, progress);
     const QueryPlan& query = task.input.plan;
     const MeasurePlan plan = task.flags.attributes.empty()
@@ -57,6 +60,7 @@ MeasureReport checkResult(const MeasureTask& task, Progress* progress)
         claims.values = placedValues(claims.values, places);
         for (const std::uint32_t place : places) claims.isThere.push_back(place != ~std::uint32_t(0));
     }
+    span.printer.begin("verify", read, span.end);
     return verifyMeasures(task.terms, claims, task.options, progress);
 }
 
@@ -95,10 +99,10 @@ std::string faultsText(const MeasureReport& report)
         for (const ValueExample& example : finding.examples) {
             text += format("    %llu", static_cast<unsigned long long>(example.query));
             if (example.component > 0) text += format("[%zu]", example.component);
-            text += format(": %.9g", example.value);
+            text += ": " + shortest(example.value);
             if (!example.what.empty()) text += " " + example.what;
-            if (!std::isnan(example.expected))
-                text += format(", expected %.9g within %.2g", example.expected, example.bound);
+            if (!std::isnan(example.expected)) text += ", expected " + shortest(example.expected);
+            if (example.bound > 0) text += format(" within %.2g", example.bound);
             text += "\n";
         }
     }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "measure_options.h"
+#include "progress_printer.h"
 #include "query_options.h"
 #include "verify/independent_search.h"
 #include "verify/measure_check.h"
@@ -25,7 +26,8 @@ struct MeasureTask {
 /// Reads and checks the measures that the flags name, or those that the result has.
 /// @throws InvalidInput where there are none, and for flags about others; InputError where its points are not the queries;
 ///         and as readMeasureInput() and verifyMeasures()
-MeasureReport checkResult(const MeasureTask& task, Progress* progress);
+/// @param progress the part of the run from `begin` to `end` is this
+MeasureReport checkResult(const MeasureTask& task, const ProgressSpan& progress);
 
 nlohmann::ordered_json faultsJson(const MeasureReport& report);
 std::string faultsText(const MeasureReport& report);

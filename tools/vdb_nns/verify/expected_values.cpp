@@ -10,13 +10,17 @@ namespace {
 // Sum of weights times coefficients, and its bound (see the header).
 class WeightedSum {
 public:
-    void add(const Weight& weight, Real coefficient, Real coefficientError = 0)
+    // @param size the largest of the coefficients that are summed at one scale: of a vector's components
+    void add(const Weight& weight, Real coefficient, Real coefficientError, Real size)
     {
-        const Real size = std::fabs(coefficient);
         mSum += weight.value * coefficient;
-        mPropagated += weight.error * size + weight.most * coefficientError;
+        mPropagated += weight.error * std::fabs(coefficient) + weight.most * coefficientError;
         mLargest = std::max(mLargest, weight.most * (size + coefficientError));
         ++mCount;
+    }
+    void add(const Weight& weight, Real coefficient, Real coefficientError = 0)
+    {
+        add(weight, coefficient, coefficientError, std::fabs(coefficient));
     }
 
     Real value() const { return mSum; }
@@ -60,7 +64,8 @@ Moments momentsOf(const std::vector<Near>& points, const std::vector<Weight>& we
     for (std::size_t p = 0; p < points.size(); ++p) {
         const Near& near = points[p];
         total.add(weights[p], 1);
-        for (std::size_t k = 0; k < 3; ++k) sums[k].add(weights[p], near.offset[k], near.error);
+        for (std::size_t k = 0; k < 3; ++k)
+            sums[k].add(weights[p], near.offset[k], near.error, near.distance);
         squares.add(weights[p], near.distance * near.distance, 2 * near.distance * near.error);
     }
     for (std::size_t k = 0; k < 3; ++k) {
@@ -173,7 +178,9 @@ ExpectedValue expectedAverage(const Neighborhood& near, const MeasureOptions& op
         const Weight weight = weightOf(point, options);
         hasTerms = true;
         total.add(weight, 1);
-        for (std::size_t k = 0; k < width; ++k) sums[k].add(weight, numbers[k]);
+        Real size = 0;
+        for (std::size_t k = 0; k < width; ++k) size = std::max<Real>(size, std::fabs(numbers[k]));
+        for (std::size_t k = 0; k < width; ++k) sums[k].add(weight, numbers[k], 0, size);
     }
     if (!hasTerms) return expected;
     for (std::size_t k = 0; k < width; ++k) {
@@ -195,7 +202,8 @@ ExpectedValue expectedNormal(const Neighborhood& near, const MeasureOptions& opt
     for (const Near& point : near.neighbors) {
         const Weight weight = weightOf(point, options);
         terms += weight.value * point.distance;
-        for (std::size_t k = 0; k < 3; ++k) sums[k].add(weight, -point.offset[k], point.error);
+        for (std::size_t k = 0; k < 3; ++k)
+            sums[k].add(weight, -point.offset[k], point.error, point.distance);
     }
     for (const WeightedSum& sum : sums) {
         length += sum.value() * sum.value();

@@ -184,6 +184,7 @@ private:
     PointAttribute attribute(const std::string& name, AttributeType type) const
     {
         const auto found = findNamed(mClaims.values.attributes, name);
+        if (mQueries == 0) return {name, type, 0, {}}; // a .vdb without points has no attributes
         if (found == mClaims.values.attributes.end())
             throw InvalidInput(mClaims.path + ": has no attribute '" + name + "', which is to be checked");
         if (found->type != type)
@@ -196,6 +197,7 @@ private:
     PointGroup group(const std::string& name) const
     {
         const auto found = findNamed(mClaims.values.groups, name);
+        if (mQueries == 0) return {name, 0, {}};
         if (found == mClaims.values.groups.end())
             throw InvalidInput(mClaims.path + ": has no group '" + name + "', which is to be checked");
         checkCount(name, found->count);

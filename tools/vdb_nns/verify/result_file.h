@@ -23,6 +23,9 @@ public:
     // @throws as PointFile::read(), InputError for a ZIP that cannot be read
     ResultFile(const std::string& path, const std::string& grid, Progress* progress);
 
+    // A .vdb or .ply without points, which need not say what they would have.
+    bool isEmpty() const { return mPoints && mPoints->view().size() == 0; }
+
     // Whether any of these is there.
     bool hasAny(const MeasuredNames& names) const;
 
