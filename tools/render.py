@@ -34,12 +34,12 @@ from scipy.spatial import cKDTree
 
 PAPER, INK, SOFT = "#10141c", "#f2f4f7", "#aab2bd"
 OTHERS = "#4b535f"  # noise, points outside of a group, no normal
-LARGEST = ("#56b4e9", "#e69f00", "#009e73", "#f0e442", "#d55e00", "#cc79a7")  # Okabe and Ito 2008
+LARGEST = ("#56b4e9", "#e69f00", "#009e73")  # Okabe and Ito 2008
 TINTS = ("#b8c9dc", "#d9cbb0", "#b4d4c9", "#d8b9cc", "#c6c2e0", "#dcd9b8")
 LABELS = {
     "count": "neighbors",
     "density": "mass per volume",
-    "mean_distance": "mean distance of the neighbors, world units",
+    "mean_distance": "mean distance, world units",
     "nearest_distance": "distance of the nearest, world units",
     "nearest": "number of the nearest",
     "cluster_size": "points in the cluster",
@@ -167,15 +167,15 @@ def by_cluster(labels):
     palette = np.array([to_rgb(color) for color in TINTS])
     shown = palette[labels % len(palette)]
     marks = []
-    for color, which in zip(LARGEST[: 3 if len(order) > 3 else 6], order):
+    for color, which in zip(LARGEST[: 2 if len(order) > 3 else 3], order):
         shown[labels == clusters[which]] = to_rgb(color)
-        marks.append((color, thousands(sizes[which]) + (" points" if not marks else "")))
+        marks.append((color, thousands(sizes[which])))
     if len(order) > len(marks):
         marks.append((TINTS[0], f"{thousands(len(order) - len(marks))} more"))
     colors[labels >= 0] = shown[labels >= 0]
     if (labels < 0).any():
-        marks.append((OTHERS, f"noise: {thousands((labels < 0).sum())}"))
-    return Look(colors, f"{thousands(len(order))} clusters", marks=marks)
+        marks.append((OTHERS, f"noise {thousands((labels < 0).sum())}"))
+    return Look(colors, f"{thousands(len(order))} clusters, the largest by points", marks=marks)
 
 
 def by_group(members, name):
