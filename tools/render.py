@@ -192,8 +192,8 @@ def by_direction(vectors):
 
 
 def look_of(name, values, options):
-    bare = next((known for known in (*LABELS, "cluster", "normal", "eigenvalues") if name == known or
-                 name.endswith("_" + known) and not name.endswith("average_" + known)), name)
+    known = (*LABELS, "cluster", "normal")
+    bare = next((measure for measure in known if name == measure or name.endswith("_" + measure)), name)
     if values.dtype == bool:
         return by_group(values, name)
     if bare == "cluster" and values.dtype.kind == "i":
