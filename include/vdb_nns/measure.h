@@ -83,7 +83,7 @@ struct MeasureOptions {
 /// radius that reaches nobody have the values of no neighbors: 0, -1, no rotation; `pws` is their position.
 ///
 /// Eigenvectors: in the first two the component of the largest magnitude (of equal ones the first) is positive, and the
-/// third is their cross product. Those of equal eigenvalues are what six sweeps of cyclic Jacobi rotations leave.
+/// third is their cross product. Those of equal eigenvalues are what four sweeps of cyclic Jacobi rotations leave.
 ///
 /// The same bytes for any cells, threads, instruction set and number of lattices: a sum is one of integers, at a scale that its largest
 /// term gives, with an error of at most 2^-50 of that term each (more beyond 4096 neighbors: 2^-62 of it times their number). Nothing

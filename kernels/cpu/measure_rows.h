@@ -110,7 +110,7 @@ using MomentsFunction = void (*)(const PairGroups& groups, const double* weight,
 // For each row the least distance; infinity for one without pairs. Makes the distances of pads 0.
 using LeastFunction = void (*)(const PairGroups& groups, double* distance, double* out);
 
-// Eigenvalues and eigenvectors of symmetric matrices, as six sweeps of cyclic Jacobi rotations leave them, unordered.
+// Eigenvalues and eigenvectors of symmetric matrices, as four sweeps of cyclic Jacobi rotations leave them, unordered.
 // `matrices`: as MomentsFunction writes them. `out`: for each three values, then the x of the three vectors, their y, their z.
 // Arrays of a multiple of kPairPad matrices.
 using EigenFunction = void (*)(const double* matrices, std::size_t count, double* out);

@@ -54,13 +54,13 @@ double cube(double x)
     return x * x * x;
 }
 
-// Of x in (0, 1], by Newton's steps from 2^-k / 2, k >= 0: the C library's differs from version to version.
-double cubeRoot(double x)
+// 1 / cbrt(x) of x in (0, 1]: the C library's cube root differs from version to version.
+double inverseCubeRoot(double x)
 {
     double scale = 1;
-    for (; x < 0.125; x *= 8) scale *= 0.5;
-    double y = 0.5 + 0.5 * x; // above the root
-    for (int step = 0; step < 6; ++step) y = (2 * y + x / (y * y)) / 3;
+    for (; x < 0.125; x *= 8) scale *= 2;
+    double y = 2.1 - 1.15 * x; // Newton's steps, without a division, from within 20 %
+    for (int step = 0; step < 6; ++step) y = y * ((4 - x * (y * y * y)) * (1.0 / 3));
     return y * scale;
 }
 
@@ -349,8 +349,8 @@ void RowBatch::writePca(const double* eigen, std::size_t r)
     double length[3] = {1, 1, 1};
     if (axes.value[0] > 0) {
         for (int k = 1; k < 3; ++k) length[k] = std::max(axes.value[k] / axes.value[0], pca.anisotropy);
-        const double root = cubeRoot(length[1]) * cubeRoot(length[2]);
-        for (double& l : length) l /= root;
+        const double by = inverseCubeRoot(length[1]) * inverseCubeRoot(length[2]);
+        for (double& l : length) l *= by;
     }
     for (std::size_t k = 0; k < 3; ++k) {
         mTargets.stretch[3 * query + k] = static_cast<float>(length[k]);
