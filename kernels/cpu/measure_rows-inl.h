@@ -489,13 +489,13 @@ inline void sums(const PairGroups& groups, const RowScale* scales, const double*
     using S = SimdD;
     if (factorCount == 0) {
         sumRows<1>(groups, scales, scratch, out,
-                   [&](std::size_t k, S::D (&terms)[1]) { terms[0] = S::load(weight + k); });
+                   [&](std::size_t k, S::D(&terms)[1]) { terms[0] = S::load(weight + k); });
     } else if (factorCount == 1) {
-        sumRows<1>(groups, scales, scratch, out, [&](std::size_t k, S::D (&terms)[1]) {
+        sumRows<1>(groups, scales, scratch, out, [&](std::size_t k, S::D(&terms)[1]) {
             terms[0] = S::mul(S::load(weight + k), S::load(factors[0] + k));
         });
     } else {
-        sumRows<3>(groups, scales, scratch, out, [&](std::size_t k, S::D (&terms)[3]) {
+        sumRows<3>(groups, scales, scratch, out, [&](std::size_t k, S::D(&terms)[3]) {
             const S::D w = S::load(weight + k);
             for (int f = 0; f < 3; ++f) terms[f] = S::mul(w, S::load(factors[f] + k));
         });
@@ -507,7 +507,7 @@ inline void moments(const PairGroups& groups, const double* weight, const double
                     double* out)
 {
     using S = SimdD;
-    const auto fromCenter = [&](std::size_t k, S::D (&d)[3]) {
+    const auto fromCenter = [&](std::size_t k, S::D(&d)[3]) {
         const double* const center = centers + std::size_t(3) * groups.row[k / kGroup];
         d[0] = S::sub(S::load(x + k), S::set(center[0]));
         d[1] = S::sub(S::load(y + k), S::set(center[1]));
@@ -520,7 +520,7 @@ inline void moments(const PairGroups& groups, const double* weight, const double
         const S::D square = S::add(S::add(S::mul(d[0], d[0]), S::mul(d[1], d[1])), S::mul(d[2], d[2]));
         return S::mul(S::load(weight + k), square);
     });
-    sumRows<6>(groups, rowScales, scratch, out, [&](std::size_t k, S::D (&terms)[6]) {
+    sumRows<6>(groups, rowScales, scratch, out, [&](std::size_t k, S::D(&terms)[6]) {
         S::D d[3];
         fromCenter(k, d);
         const S::D w = S::load(weight + k);
@@ -541,7 +541,7 @@ inline void least(const PairGroups& groups, double* distance, double* out)
         S::D nearest = S::set(__builtin_inf());
         const std::size_t end = groups.firstGroup[r + 1] * kGroup;
         for (std::size_t k = groups.firstGroup[r] * kGroup; k < end; k += S::kLanes)
-            nearest = S::min(nearest, S::load(distance + k)); // pads repeat the last pair
+            nearest = S::min(nearest, S::load(distance + k));   // pads repeat the last pair
         out[r] = 0.0 - S::greatest(S::sub(S::set(0), nearest)); // never a negative zero
     }
     for (std::size_t g = 0; g < groups.groups; ++g) {
@@ -582,7 +582,8 @@ inline void rotate(SimdD::D& app, SimdD::D& aqq, SimdD::D& apq, SimdD::D& arp, S
 inline void eigen(const double* matrices, std::size_t count, double* out)
 {
     using S = SimdD;
-    constexpr int kSweeps = 4; // after which off-diagonals of 4 million random and graded matrices were below 1e-19 of the rest
+    constexpr int kSweeps =
+        4; // after which off-diagonals of 4 million random and graded matrices were below 1e-19 of the rest
     for (std::size_t i = 0; i < count; i += S::kLanes) {
         double lanes[kEigenNumbers][S::kLanes];
         S::D a[6];

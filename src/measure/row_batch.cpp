@@ -134,7 +134,8 @@ void growTo(PageArray<T>& array, std::size_t used, std::size_t size)
 RowBatch::RowBatch(const RowMeasures& measures)
     : mMeasures(measures),
       mTargets(measures.targets),
-      mWantsWeights(mTargets.density || mTargets.normal || mTargets.eigenvalues || !mTargets.averages.empty()),
+      mWantsWeights(mTargets.density || mTargets.normal || mTargets.eigenvalues ||
+                    !mTargets.averages.empty()),
       mWantsVectors(mTargets.normal || mTargets.eigenvalues || mTargets.stretch),
       mHasRadii(!measures.sets.radius.isOne()),
       mIsByPair(mHasRadii && measures.sets.radius.mode != RadiusMode::kGather)
@@ -150,7 +151,8 @@ void RowBatch::reserve(std::size_t groups)
     grown.resizeDiscarding(capacity * kGroup * kColumns);
     // The radii are the only numbers of pairs that are there before a batch is complete.
     if (mUsed > 0 && mHasRadii)
-        std::memcpy(grown.data() + kInverse * capacity * kGroup, column(kInverse), mUsed * kGroup * sizeof(double));
+        std::memcpy(grown.data() + kInverse * capacity * kGroup, column(kInverse),
+                    mUsed * kGroup * sizeof(double));
     mPairs = std::move(grown);
     growTo(mNumbers, mUsed * kGroup, capacity * kGroup);
     growTo(mGroupRow, mUsed, capacity);
@@ -410,8 +412,13 @@ void RowBatch::flush()
 {
     if (mRows.empty()) return;
     mFirstGroup.push_back(static_cast<std::uint32_t>(mUsed));
-    mGroups = {mUsed,           mRows.size(),       mNumbers.data(), mGroupRow.data(),
-               mGroupPairs.data(), mFirstGroup.data(), mQueries.data()};
+    mGroups = {mUsed,
+               mRows.size(),
+               mNumbers.data(),
+               mGroupRow.data(),
+               mGroupPairs.data(),
+               mFirstGroup.data(),
+               mQueries.data()};
     makePairs();
     weigh();
     if (mTargets.density) writeDensities();

@@ -94,7 +94,8 @@ private:
     std::vector<RowScale> mScales;
     std::vector<std::uint64_t> mScratch;
     // By row.
-    std::vector<double> mWeightSums, mPcaSums, mSums, mValidSums, mTotals, mVectors, mCenters, mMoments, mEigen;
+    std::vector<double> mWeightSums, mPcaSums, mSums, mValidSums, mTotals, mVectors, mCenters, mMoments,
+        mEigen;
 };
 
 } // namespace vdb_nns

@@ -1,0 +1,348 @@
+// Measures give the same bytes wherever and however they are made, whatever the host program set the processor to, and in memory
+// that is used again. Whether they are right is for the check of verify (tests/verify/test_measure_agreement.cpp).
+#include "../agreement/point_views.h"
+#include "../support/distributions.h"
+#include "vdb_nns/error.h"
+#include "vdb_nns/measure.h"
+#include "vdb_nns/progress.h"
+#include "vdb_nns/search.h"
+
+#include <gtest/gtest.h>
+#include <xmmintrin.h>
+
+#include <tbb/task_arena.h>
+
+#include <atomic>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <limits>
+#include <memory>
+#include <random>
+#include <string>
+#include <vector>
+
+namespace vdb_nns::testing {
+namespace {
+
+const std::vector<std::string> kRowMeasures = {"count",    "density",     "mean_distance", "nearest_distance",
+                                               "nearest",  "average:f",   "average:v",     "average:w",
+                                               "normal",   "eigenvalues", "pca",           "isolated",
+                                               "nonfinite"};
+const std::vector<std::string> kClusterMeasures = {"cluster", "cluster_size"};
+
+// Attributes with a value that is not finite here and there.
+struct Values {
+    std::vector<float> f, v;
+    std::vector<double> w;
+
+    explicit Values(std::size_t count)
+    {
+        std::mt19937 random(5);
+        std::normal_distribution<double> normal;
+        for (std::size_t k = 0; k < count; ++k) {
+            f.push_back(static_cast<float>(std::ldexp(normal(random), static_cast<int>(random() % 60) - 30)));
+            for (int c = 0; c < 3; ++c) {
+                v.push_back(static_cast<float>(normal(random)));
+                w.push_back(100 + normal(random));
+            }
+        }
+        for (std::size_t k = 3; k < count; k += 17) v[3 * k] = std::numeric_limits<float>::infinity();
+    }
+    std::vector<PointAttribute> attributes() const
+    {
+        return {viewAttribute("f", AttributeType::kFloat, f.data(), f.size()),
+                viewAttribute("v", AttributeType::kVec3s, v.data(), f.size()),
+                viewAttribute("w", AttributeType::kVec3d, w.data(), f.size())};
+    }
+};
+
+std::string bytesOf(const PointValues& values)
+{
+    std::string bytes;
+    for (const PointAttribute& a : values.attributes) {
+        bytes += a.name + attributeTypeName(a.type);
+        bytes.append(static_cast<const char*>(a.values.get()), a.count * attributeBytes(a.type));
+    }
+    for (const PointGroup& g : values.groups) {
+        bytes += g.name;
+        bytes.append(reinterpret_cast<const char*>(g.members.get()), g.count);
+    }
+    return bytes;
+}
+
+// All measures of a view, one after the other.
+std::string measured(const ParticleView& view, double radius, const Values& values, MeasureOptions options)
+{
+    options.attributes = values.attributes();
+    const std::string rows = bytesOf(measure(view, radius, kRowMeasures, options));
+    return rows + bytesOf(measure(view, radius, kClusterMeasures, options));
+}
+
+struct Case {
+    std::string name;
+    ParticleView view;
+    double radius;
+    std::shared_ptr<const void> owner; // of an array
+};
+
+// Every distribution as floats, as doubles and as voxels.
+std::vector<Case> cases()
+{
+    std::vector<Case> result;
+    for (const PointSet& set : arraySets(Precision::kFloat)) {
+        const auto floats = std::make_shared<std::vector<float>>(floatsOf(set));
+        result.push_back({set.name + " as floats", ParticleView::fromArray(floats->data(), set.points.size()),
+                          set.radius, floats});
+    }
+    for (const PointSet& set : arraySets(Precision::kDouble)) {
+        const auto doubles = std::make_shared<std::vector<double>>(doublesOf(set));
+        result.push_back({set.name + " as doubles",
+                          ParticleView::fromArray(doubles->data(), set.points.size()), set.radius, doubles});
+    }
+    for (const PointSet& set : gridSets()) {
+        result.push_back(
+            {set.name + " as voxels", ParticleView(std::make_shared<VoxelSource>(set)), set.radius, nullptr});
+    }
+    return result;
+}
+
+// A set of voxels so small that those of neighbors differ by more than ten bits hold.
+PointSet fineVoxels()
+{
+    PointSet set;
+    set.name = "fine voxels";
+    set.radius = 1;
+    set.linear = {{{1.0 / 2048, 0, 0}, {0, 1.0 / 2048, 0}, {0, 0, 1.0 / 2048}}};
+    std::mt19937 random(3);
+    for (int i = 0; i < 400; ++i) {
+        ExactPoint point{};
+        for (int k = 0; k < 3; ++k) {
+            point.voxel[k] = static_cast<std::int64_t>(random() % 6000) - 3000;
+            point.offset[k] = roundedToFloat(static_cast<double>(random() % 1000) / 1000 - 0.5);
+        }
+        set.points.push_back(point);
+    }
+    return set;
+}
+
+TEST(Measure, SameBytesOnAllInstructionSets)
+{
+    std::vector<Case> all = cases();
+    all.push_back({"fine voxels", ParticleView(std::make_shared<VoxelSource>(fineVoxels())), 1, nullptr});
+    for (const Case& c : all) {
+        const Values values(c.view.size());
+        MeasureOptions options;
+        options.search.simd = SimdLevel::kScalar;
+        const std::string expected = measured(c.view, c.radius, values, options);
+        for (const SimdLevel level : {SimdLevel::kSse4, SimdLevel::kAvx2, SimdLevel::kAvx512}) {
+            if (level > bestSimdLevel()) continue;
+            options.search.simd = level;
+            EXPECT_TRUE(measured(c.view, c.radius, values, options) == expected)
+                << c.name << ", " << simdLevelName(level);
+        }
+    }
+}
+
+TEST(Measure, SameBytesForAllKernelsAndInstructionSets)
+{
+    const PointSet set = gridSets()[5];
+    const ParticleView view(std::make_shared<VoxelSource>(set));
+    const Values values(view.size());
+    for (const SmoothingKernel kernel : {SmoothingKernel::kCubic, SmoothingKernel::kWendland2,
+                                         SmoothingKernel::kPoly6, SmoothingKernel::kTophat}) {
+        MeasureOptions options;
+        options.kernel = kernel;
+        options.search.simd = SimdLevel::kScalar;
+        const std::string expected = measured(view, set.radius, values, options);
+        options.search.simd = SimdLevel::kBest;
+        EXPECT_TRUE(measured(view, set.radius, values, options) == expected) << static_cast<int>(kernel);
+    }
+}
+
+TEST(Measure, SameBytesForAllThreadsAndCells)
+{
+    for (const Case& c : cases()) {
+        const Values values(c.view.size());
+        const std::string expected = measured(c.view, c.radius, values, {});
+        for (const int threads : {1, 3, 8}) {
+            tbb::task_arena arena(threads);
+            EXPECT_TRUE(arena.execute([&] { return measured(c.view, c.radius, values, {}); }) == expected)
+                << c.name << ", " << threads << " threads";
+        }
+        for (const double size : {0.5, 1.0, 2.0}) {
+            MeasureOptions options;
+            options.search.cellSize = size;
+            EXPECT_TRUE(measured(c.view, c.radius, values, options) == expected)
+                << c.name << ", cells of " << size;
+        }
+    }
+}
+
+// Programs that render flush denormals, and some round in another direction.
+TEST(Measure, SameBytesWhateverTheHostSet)
+{
+    const PointSet set = arraySets(Precision::kFloat)[5];
+    const std::vector<float> floats = floatsOf(set);
+    const ParticleView view = ParticleView::fromArray(floats.data(), set.points.size());
+    Values values(view.size());
+    for (std::size_t k = 0; k < values.f.size(); k += 2) values.f[k] = 1e-41f; // denormal
+    const std::string expected = measured(view, set.radius, values, {});
+    constexpr unsigned kFlush = 0x8040, kRoundUp = 0x4000;
+    for (const unsigned mode : {kFlush, kRoundUp, kFlush | kRoundUp}) {
+        tbb::task_arena arena(1);
+        arena.execute([&] {
+            const unsigned before = _mm_getcsr();
+            _mm_setcsr(before | mode);
+            const unsigned set_ = _mm_getcsr() & 0xffc0u;
+            const std::string bytes = measured(view, set.radius, values, {});
+            const unsigned after = _mm_getcsr() & 0xffc0u;
+            _mm_setcsr(before);
+            EXPECT_TRUE(bytes == expected) << mode;
+            EXPECT_EQ(after, set_);
+        });
+    }
+}
+
+TEST(Measure, ResultsOutliveTheNextRun)
+{
+    const PointSet set = arraySets(Precision::kFloat)[5];
+    const std::vector<float> floats = floatsOf(set);
+    const ParticleView view = ParticleView::fromArray(floats.data(), set.points.size());
+    SearchEngine engine;
+    const SearchSets sets = engine.buildGrid(view, set.radius);
+    Measured first = engine.measure(sets, {"density", "pca"}, {});
+    const std::string bytes = bytesOf(first.values);
+    MeasureOptions other;
+    other.kernel = SmoothingKernel::kTophat;
+    const Measured second = engine.measure(sets, {"density", "pca"}, other);
+    EXPECT_TRUE(bytesOf(first.values) == bytes);
+    EXPECT_NE(first.values.attributes[0].values, second.values.attributes[0].values);
+    // Memory that nobody holds is used again, and is clean.
+    const void* const freed = first.values.attributes[0].values.get();
+    first = Measured();
+    const Measured third = engine.measure(sets, {"density", "pca"}, {});
+    EXPECT_EQ(third.values.attributes[0].values.get(), freed);
+    EXPECT_TRUE(bytesOf(third.values) == bytes);
+}
+
+// A crowd: more terms than the largest scale has room for, and a row longer than a batch.
+TEST(Measure, CountsACrowd)
+{
+    constexpr std::size_t kCount = 9000;
+    std::vector<float> xyz(3 * kCount, 0.25f);
+    MeasureOptions options;
+    options.kernel = SmoothingKernel::kTophat;
+    const PointValues values = measure(ParticleView::fromArray(xyz.data(), kCount), 1,
+                                       {"density", "mean_distance", "normal"}, options);
+    const double expected = kCount * 3 / (4 * 3.14159265358979323846);
+    const auto* const density = static_cast<const float*>(values.attributes[0].values.get());
+    const auto* const mean = static_cast<const float*>(values.attributes[1].values.get());
+    const auto* const normal = static_cast<const float*>(values.attributes[2].values.get());
+    for (std::size_t i = 0; i < kCount; i += 499) {
+        EXPECT_NEAR(density[i] / expected, 1, 1e-7);
+        EXPECT_EQ(mean[i], 0);
+        EXPECT_EQ(normal[3 * i], 0);
+    }
+}
+
+TEST(Measure, CountsAreThoseOfASearch)
+{
+    const PointSet set = arraySets(Precision::kFloat)[7];
+    const std::vector<float> floats = floatsOf(set);
+    SearchEngine engine;
+    const SearchSets sets =
+        engine.buildGrid(ParticleView::fromArray(floats.data(), set.points.size()), set.radius);
+    for (const std::uint32_t nearest : {0u, 3u}) {
+        MeasureOptions options;
+        options.search.nearest = nearest;
+        const Measured measured = engine.measure(sets, {"density"}, options);
+        SearchOptions search = options.search;
+        search.encoding = Encoding::kNone;
+        const NeighborLists lists = engine.search(sets, search);
+        EXPECT_EQ(measured.counts.counts(), lists.counts());
+        EXPECT_EQ(measured.counts.statistics().pairs, lists.statistics().pairs);
+        EXPECT_EQ(measured.counts.statistics().isolated, lists.statistics().isolated);
+        EXPECT_EQ(measured.counts.statistics().shortened, lists.statistics().shortened);
+    }
+}
+
+class StopAtOnce final : public Progress {
+public:
+    void update(const char*, double) override {}
+    bool cancelled() const override { return mQuestions++ >= mAfter; }
+    explicit StopAtOnce(int after) : mAfter(after) {}
+
+private:
+    const int mAfter;
+    mutable std::atomic<int> mQuestions{0};
+};
+
+TEST(Measure, StopsWhenAskedTo)
+{
+    const PointSet set = arraySets(Precision::kFloat)[5];
+    const std::vector<float> floats = floatsOf(set);
+    SearchEngine engine;
+    const SearchSets sets =
+        engine.buildGrid(ParticleView::fromArray(floats.data(), set.points.size()), set.radius);
+    const std::vector<std::string> names = {"density", "pca", "cluster", "nearest", "isolated"};
+    const std::string expected = bytesOf(engine.measure(sets, names, {}).values);
+    for (int after = 0; after < 6; ++after) {
+        StopAtOnce progress(after);
+        MeasureOptions options;
+        options.search.progress = &progress;
+        EXPECT_THROW(engine.measure(sets, names, options), Cancelled) << after;
+    }
+    EXPECT_TRUE(bytesOf(engine.measure(sets, names, {}).values) == expected);
+}
+
+TEST(Measure, RefusesWhatCannotBe)
+{
+    const std::vector<float> xyz = {0, 0, 0, 1, 0, 0};
+    const ParticleView view = ParticleView::fromArray(xyz.data(), 2);
+    const std::vector<float> one = {1}, matrices(18);
+    const std::vector<double> negative = {1, -1}, short_ = {1};
+    const auto with = [&](auto&& change) {
+        MeasureOptions options;
+        change(options);
+        return options;
+    };
+    EXPECT_THROW(measure(view, 1, {"densty"}), InvalidInput);
+    EXPECT_THROW(measure(view, 1, {"density", "density"}), InvalidInput);
+    EXPECT_THROW(measure(view, 1, {"average:"}), InvalidInput);
+    EXPECT_THROW(measure(view, 1, {"average:v"}), InvalidInput);
+    EXPECT_THROW(measure(view, 1, {"density"}, with([](auto& o) { o.mass = -1; })), InvalidInput);
+    EXPECT_THROW(measure(view, 1, {"density"}, with([&](auto& o) {
+                             o.masses = {negative.data(), 2};
+                         })),
+                 InvalidInput);
+    EXPECT_THROW(measure(view, 1, {"density"}, with([&](auto& o) {
+                             o.masses = {short_.data(), 1};
+                         })),
+                 InvalidInput);
+    EXPECT_THROW(measure(view, 1, {"average:v"}, with([&](auto& o) {
+                             o.attributes = {viewAttribute("v", AttributeType::kFloat, one.data(), 1)};
+                         })),
+                 InvalidInput);
+    EXPECT_THROW(measure(view, 1, {"average:m"}, with([&](auto& o) {
+                             o.attributes = {viewAttribute("m", AttributeType::kMat3s, matrices.data(), 2)};
+                         })),
+                 InvalidInput);
+    EXPECT_THROW(measure(view, 1, {"pca"}, with([](auto& o) { o.pca.anisotropy = 0; })), InvalidInput);
+    EXPECT_THROW(measure(view, 1, {"pca"}, with([](auto& o) { o.pca.average = 2; })), InvalidInput);
+    EXPECT_THROW(measure(view, 1, {"cluster"}, with([](auto& o) { o.minNeighbors = 0; })), InvalidInput);
+    EXPECT_THROW(measure(view, 1, {"cluster"}, with([](auto& o) { o.search.nearest = 1; })), InvalidInput);
+    SearchEngine engine;
+    const SearchSets sets = engine.buildGrid(view, 1);
+    EXPECT_THROW(engine.measure(sets, {"density"}, with([](auto& o) { o.search.hostMemoryBytes = 1; })),
+                 CapacityError);
+    try {
+        measure(view, 1, {"densty"});
+    } catch (const InvalidInput& error) {
+        EXPECT_NE(std::string(error.what()).find("did you mean 'density'?"), std::string::npos)
+            << error.what();
+    }
+}
+
+} // namespace
+} // namespace vdb_nns::testing
