@@ -282,6 +282,8 @@ class Refused(MeasureCase):
             for value in values:
                 with self.subTest(flag, value=value):
                     self.refused(2, self.path("missing.npz"), names, flag, value, says=flag)
+        for names, flag, value in (("cluster", "--min-neighbors", "4294967295"), ("pca", "--pca-threshold", "4294967295")):
+            self.measured(self.array, [names], "-r", 0.2, flag, value)
 
     def test_flags_about_other_measures(self):
         for names, flag, value in (("pca,count", "--kernel", "cubic"), ("normal", "--mass", "1"), ("normal", "--mass-attribute", "mass"),

@@ -74,7 +74,7 @@ class OfAllPairs(MeasureCase):
         points = np.random.default_rng(2).random((500, 3)) * [1, 1, 0.05]
         input, scene = self.npy("in.npy", points, np.float64), Scene(points, radius=0.12)
         for options in ({}, {"anisotropy": 1.0}, {"anisotropy": 0.01}, {"stretch": 2.5}, {"stretch": -0.5}, {"threshold": 1},
-                        {"threshold": 0}, {"average": 0.0}, {"average": 0.3},
+                        {"threshold": 0}, {"threshold": 4000000000}, {"average": 0.0}, {"average": 0.3},
                         {"anisotropy": 0.5, "stretch": 3.0, "threshold": 12, "average": 0.75}):
             with self.subTest(options):
                 flags = [word for name, value in options.items() for word in ("--pca-" + name, value)]
