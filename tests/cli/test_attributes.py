@@ -318,6 +318,10 @@ class Refused(MeasureCase):
         shutil.copy(self.array, self.path("queries.npz"))
         for path in (self.array, self.path("same.npz")):
             self.refused(2, self.array, "density", out=["--attributes-output", path], says=os.path.basename(path))
+            # Arrays of measures have no positions: nothing is left of the points.
+            self.refused(2, self.array, "density", "--force", out=["--attributes-output", path], says="is an input and would be lost")
+        self.refused(2, self.array, "density", "--queries", self.path("queries.npz"), "-f",
+                     out=["--attributes-output", self.path("queries.npz")], says="would be lost")
         self.refused(2, self.vdb, "density", out=["-o", self.vdb], says="in.vdb")
         self.assertEqual((self.bytes(self.array), self.bytes(self.path("queries.npz"))), (before, before))
 
