@@ -257,7 +257,7 @@ class Refused(MeasureCase):
                     self.refused(2, input, names, says=["--attributes" if "empty" in says else "", says])
 
     def test_names_of_attributes(self):
-        for input, words in ((self.array, ["it has 'velocity', 'mass'"]),
+        for input, words in ((self.array, ["did you mean 'velocity'? It has 'velocity', 'mass'"]),
                              (self.vdb, ["did you mean 'velocity'?", "attributes are 'P', 'id', 'velocity'"])):
             self.refused(2, input, "average:velocty", says=["no ", "'velocty'", *words])
             self.refused(2, input, "density", "--mass-attribute", "velocty", says=["no ", "'velocty'", *words])
