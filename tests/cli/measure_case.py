@@ -89,7 +89,7 @@ class MeasureCase(CliCase):
                 kind = {"i": np.dtype("<f4")}.get(array.dtype.kind, array.dtype)
                 self.assertEqual((got.dtype, got.shape[1:]), (kind, array.shape[1:]), name)
                 mean, scale = measure_oracle.average(scene, weights, array)
-                self.near(name, got, mean, 1e-11 * scale)
+                self.near(name, got, mean, 2e-13 * scale)
             elif name == "normal":
                 self.normals(got, scene, weights)
             elif name == "eigenvalues":
