@@ -23,7 +23,8 @@ PointDataGrid::Ptr readPoints(const std::string& path)
 {
     openvdb::io::File file(path);
     file.open(/*delayLoad=*/false);
-    for (const openvdb::GridBase::Ptr& grid : *file.getGrids())
+    const openvdb::GridPtrVecPtr grids = file.getGrids();
+    for (const openvdb::GridBase::Ptr& grid : *grids)
         if (grid->isType<PointDataGrid>()) return openvdb::gridPtrCast<PointDataGrid>(grid);
     throw vdb_nns::InputError(path + " has no point grid");
 }

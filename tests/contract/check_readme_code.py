@@ -1,4 +1,4 @@
-"""Runs what the documents show: their `build/vdb_nns` commands on a smaller scene, then their Python blocks on what they wrote.
+"""Runs what the documents show: their `build/vdb_nns` and `tools/render.py` commands on a smaller scene, then their Python blocks on what they wrote.
 
     check_readme_code.py SOURCE_DIR VDB_NNS [VDB_NNS_EMULATED]
 
@@ -14,8 +14,10 @@ import tempfile
 # In this order: the commands of README.md make the scene and the lists that the others use. As many as each page must have, so
 # that a block that moves to a page that is not read here is missed.
 PAGES = {  # page: (commands, Python blocks)
-    "README.md": (3, 1),
+    "README.md": (6, 1),
     "docs/cli.md": (7, 0),
+    "docs/measures.md": (11, 1),
+    "docs/README.md": (2, 0),
     "docs/gpu.md": (3, 0),
     "docs/python.md": (0, 2),
 }
@@ -26,7 +28,7 @@ for page, (fewest_commands, fewest_snippets) in PAGES.items():
     with open(os.path.join(source, page), encoding="utf-8") as file:
         blocks = re.findall(r"^```(\w+)\n(.*?)^```", file.read(), re.M | re.S)
     lines = [line for kind, text in blocks if kind == "sh" for line in text.splitlines()]
-    of_page = [line for line in lines if line.startswith("build/vdb_nns")]
+    of_page = [line for line in lines if line.startswith(("build/vdb_nns", "tools/render.py"))]
     snippets_of_page = [text for kind, text in blocks if kind == "python"]
     assert len(of_page) >= fewest_commands and len(snippets_of_page) >= fewest_snippets, (page, of_page, snippets_of_page)
     commands += of_page
@@ -41,6 +43,7 @@ with tempfile.TemporaryDirectory() as folder:
             continue
         command = command.replace("--stability", "--stability --method ours-count")  # all methods take minutes
         command = command.replace("build/vdb_nns", f"'{emulated[0] if needs_gpu else program}'", 1).replace("1000000", "20000")
+        command = re.sub("^tools/", f"'{sys.executable}' -B '{source}'/tools/", command)
         subprocess.run(command, shell=True, check=True, stdout=subprocess.DEVNULL)
     names = {}
     for snippet in snippets:
