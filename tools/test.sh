@@ -26,7 +26,7 @@ if [ $quick -eq 1 ]; then
     cmake --build build --target vdb_nns_quick_selection
     took
     say "the quick selection of the suite"
-    ctest --test-dir build -L quick --output-on-failure --no-tests=error
+    ctest --test-dir build -j "$(nproc)" -L quick --output-on-failure --no-tests=error
     exit
 fi
 
@@ -47,7 +47,7 @@ say "build into build/asan: AddressSanitizer and UBSan; the selection of the sui
 configure build/asan -C tools/build/asan.cmake
 cmake --build build/asan --target vdb_nns_asan_selection
 ASAN_OPTIONS=${ASAN_OPTIONS:-allocator_may_return_null=1} UBSAN_OPTIONS=${UBSAN_OPTIONS:-print_stacktrace=1} \
-    ctest --test-dir build/asan -L asan --output-on-failure --no-tests=error
+    ctest --test-dir build/asan -j "$(nproc)" -L asan --output-on-failure --no-tests=error
 took
 
 # The compiled kernels are tested by CUDA's disassembler, which a toolkit may lack.
@@ -58,4 +58,4 @@ if command -v nvcc >/dev/null && ! command -v nvdisasm >/dev/null; then
 fi
 
 say "the suite"
-VDB_NNS_REQUIRE_PEERS=1 ctest --test-dir build --output-on-failure --no-tests=error
+VDB_NNS_REQUIRE_PEERS=1 ctest --test-dir build -j "$(nproc)" --output-on-failure --no-tests=error

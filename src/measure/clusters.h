@@ -25,11 +25,11 @@ public:
         std::uint32_t root = unite(a, with[k]);
         // Mostly all are together already: one loop without branches tells.
         const auto isApart = [&](std::uint32_t b) {
-            return wanted(b) & (parent(b).load(std::memory_order_relaxed) != root);
+            return unsigned(wanted(b)) & unsigned(parent(b).load(std::memory_order_relaxed) != root);
         };
-        bool areApart = false;
+        unsigned areApart = 0;
         for (std::uint32_t i = ++k; i < count; ++i) areApart |= isApart(with[i]);
-        if (!areApart) return;
+        if (areApart == 0) return;
         for (; k < count; ++k) {
             if (isApart(with[k])) root = unite(root, with[k]);
         }

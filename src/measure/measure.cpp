@@ -211,7 +211,7 @@ public:
     void add(std::uint32_t query, const std::uint32_t* neighbors, std::uint32_t count)
     {
         // Where every pair comes both ways, one is enough.
-        const auto isFirst = [&](std::uint32_t j) { return !mIsSymmetric | (j < query); };
+        const auto isFirst = [&](std::uint32_t j) { return !mIsSymmetric || j < query; };
         if (!mCores) {
             mComponents.unite(query, neighbors, count, isFirst);
         } else if (mCores->isCore(query)) {

@@ -15,8 +15,6 @@ namespace vdb_nns {
 
 namespace {
 
-constexpr std::size_t kChunk = 4096;
-
 std::size_t bytesOf(PositionRecord record)
 {
     return record == PositionRecord::kFloats || record == PositionRecord::kVoxels ? 16 : 32;

@@ -254,17 +254,36 @@ class Queries(CliCase):
         self.fails(2, "verify", self.vdb, lists, "-g", "points", "--queries-grid", "probes", "--include-self", "-r", "1",
                    says="--include-self and --queries-grid do not go together")
 
+    def refused_rows(self, mark):
+        """Of a table in docs/cli.md: flags, each with its value if it has one, and the reason."""
+        with open(os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "docs", "cli.md")) as file:
+            table = re.search(f"<!-- {mark} -->(.*?)<!-- end", file.read(), re.S).group(1)
+        rows = [line.split("|")[1:3] for line in table.strip().splitlines()[2:]]
+        return [([flag.split() for flag in re.findall(r"`([^`]+)`", flags)], why) for flags, why in rows]
+
+    def test_the_table_of_refused_measures(self):
+        """Each row is refused before a byte is read, and the message has one of the flags."""
+        rows = self.refused_rows("refused flags of measures")
+        self.assertGreater(len(rows), 15)
+        of_file = {"--queries": self.vdb, "--queries-grid": "probes"}
+        for words, _ in rows:
+            args = [word for flag in words for word in (*flag, *([of_file[flag[0]]] if len(flag) == 1 else []))]
+            args = [self.path(word) if word.startswith(("out.", "lists.")) else word for word in args]
+            with self.subTest(args):
+                done = self.fails(2, "search", self.path("missing.vdb"), "-r", "0.1", *args)
+                names = [word for flag in words for word in flag if word != "-o"]
+                self.assertTrue(any(name.split(",")[0] in done.err for name in names), done.err)
+                if len(words) > 2:  # the last one is what is wrong: without it, the file is missed
+                    self.fails(3, "search", self.path("missing.vdb"), "-r", "0.1", *args[:-2], says="cannot be read")
+
     def test_the_table_of_refused_flags(self):
         """docs/cli.md says which flags do not go together: each row is refused, and says so with these flags."""
-        with open(os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "docs", "cli.md")) as file:
-            table = re.search(r"<!-- refused flags -->(.*?)<!-- end", file.read(), re.S).group(1)
         values = {"-r": "0.1", "--radius-attribute": "mass", "--radius-file": self.radius_file, "--queries": self.vdb,
                   "--queries-radius-file": self.queries_radius_file, "--radius-scale": "2", "--radius-mode": "gather",
                   "--queries-grid": "probes"}
-        rows = [line.split("|")[1:3] for line in table.strip().splitlines()[2:]]
+        rows = self.refused_rows("refused flags")
         self.assertGreater(len(rows), 10)
-        for flags, why in rows:
-            words = [flag.split() for flag in re.findall(r"`([^`]+)`", flags)]
+        for words, why in rows:
             args = [word for flag in words for word in (*flag, *([values[flag[0]]] if flag[0] in values and len(flag) == 1 else []))]
             missing = re.search(r"`(--[a-z-]+)` is missing", why)
             with self.subTest(args):

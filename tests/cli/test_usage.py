@@ -124,7 +124,7 @@ class BadFlags(CliCase):
         array = self.npy("a.npy", [[0, 0, 0], [1, 0, 0]])
         out = self.path("x.npz")
         self.fails(2, "search", path, "-o", out, "--encoding", "none", says="--encoding none")
-        self.fails(2, "search", array, "-r", "1", "-o", self.path("x.vdb"), says="x.vdb")
+        self.fails(2, "search", array, "-r", "1", "-o", self.path("x.bgeo"), says="x.bgeo")
         self.fails(2, "search", path, "-o", out, "-o", out, says="two outputs")
         self.fails(2, "search", path, "-o", out, "-o", self.path("./x.npz"), says="two outputs")
         self.fails(2, "search", path, "-o", out, "--json", out, says="two outputs")

@@ -1,6 +1,7 @@
 """verify on attributes: what NumPy makes of the formulas passes, in each kind of file; faults, missing values and bad flags do not."""
 import json
 import os
+import re
 
 import numpy as np
 
@@ -184,6 +185,23 @@ class VerifyAttributes(CliCase):
             with self.subTest(more):
                 self.fails(2, "verify", self.input, lists, "-r", RADIUS, *more, says=[more[0], "lists.npz"])
         self.assertTrue(os.path.exists(lists))
+
+    def test_the_table_of_refused_flags(self):
+        """docs/cli.md says which flags of measures do not go together: search and verify refuse each row by its last flag."""
+        with open(os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "docs", "cli.md")) as file:
+            table = re.search(r"<!-- refused flags of measures -->(.*?)<!-- end", file.read(), re.S).group(1)
+        rows = [line.split("|")[1] for line in table.strip().splitlines()[2:]]
+        self.assertGreater(len(rows), 15)
+        for row in rows:
+            flags = [flag.split() for flag in re.findall(r"`([^`]+)`", row)]
+            args = [word for flag in flags for word in flag]
+            with self.subTest(args):
+                says = "measure" if args[-1] in ("count,count", "densty") else args[-1] if len(flags) == 1 else flags[-1][0]
+                if flags[-1][0].endswith("-group") or flags[-1][0] == "--queries-grid":
+                    says = "queries or groups"
+                missing = self.path("missing.vdb")
+                self.fails(2, "search", missing, "-r", RADIUS, "-o", self.path("out.vdb"), *args, says=says)
+                self.fails(2, "verify", missing, self.path("result.vdb"), "-r", RADIUS, *args, says=says)
 
 
 ROWS = "count,density,mean_distance,nearest_distance,nearest,normal,eigenvalues,pca,isolated,nonfinite"

@@ -204,6 +204,24 @@ TEST(Measure, SameBytesWhateverTheHostSet)
     }
 }
 
+// Ratios of lengths and directions do not know the scale: squares of matrices must not leave the range of doubles.
+TEST(Measure, PcaIsTheSameAtEveryScale)
+{
+    const PointSet set = arraySets(Precision::kDouble)[5];
+    const std::vector<double> doubles = doublesOf(set);
+    const auto pcaAt = [&](int exponent) {
+        std::vector<double> scaled;
+        for (const double x : doubles) scaled.push_back(std::ldexp(x, exponent));
+        PointValues values = measure(ParticleView::fromArray(scaled.data(), scaled.size() / 3),
+                                     std::ldexp(set.radius, exponent), {"pca"});
+        values.attributes.pop_back(); // pws, which is a position
+        return bytesOf(values);
+    };
+    const std::string expected = pcaAt(0);
+    for (const int exponent : {-400, -300, -1, 1, 300, 400})
+        EXPECT_TRUE(pcaAt(exponent) == expected) << exponent;
+}
+
 TEST(Measure, ResultsOutliveTheNextRun)
 {
     const PointSet set = arraySets(Precision::kFloat)[5];

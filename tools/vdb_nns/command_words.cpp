@@ -25,20 +25,6 @@ std::size_t editDistance(const std::string& a, const std::string& b)
     return d[a.size()][b.size()];
 }
 
-// The name that a word was meant to be: one that it begins, or the one at most two edits away; or none.
-std::string nearestName(const std::string& word, const std::vector<std::string>& names)
-{
-    constexpr std::size_t kShortestWord = 3, kMostEdits = 2;
-    std::string nearest;
-    std::size_t least = kMostEdits + 1;
-    if (word.size() < kShortestWord) return nearest;
-    for (const std::string& name : names) {
-        const std::size_t edits = name.rfind(word, 0) == 0 ? 0 : editDistance(word, name);
-        if (edits < least) nearest = name, least = edits;
-    }
-    return nearest;
-}
-
 bool isFlag(const std::string& word)
 {
     return word.rfind("--", 0) == 0;
@@ -61,6 +47,19 @@ std::vector<std::string> namesFor(const std::string& word, const CLI::App& root,
 }
 
 } // namespace
+
+std::string nearestName(const std::string& word, const std::vector<std::string>& names)
+{
+    constexpr std::size_t kShortestWord = 3, kMostEdits = 2;
+    std::string nearest;
+    std::size_t least = kMostEdits + 1;
+    if (word.size() < kShortestWord) return nearest;
+    for (const std::string& name : names) {
+        const std::size_t edits = name.rfind(word, 0) == 0 ? 0 : editDistance(word, name);
+        if (edits < least) nearest = name, least = edits;
+    }
+    return nearest;
+}
 
 std::vector<std::string> withHelp(std::vector<std::string> words)
 {

@@ -8,6 +8,9 @@
 
 namespace vdb_nns::cli {
 
+/// The name that a word was meant to be: one that it begins, or the one at most two edits away; empty if none is.
+std::string nearestName(const std::string& word, const std::vector<std::string>& names);
+
 /// `help`, also said twice, is `--help`, `help COMMAND` is `COMMAND --help`, and a command line without a
 /// word asks for help too.
 std::vector<std::string> withHelp(std::vector<std::string> words);

@@ -1,5 +1,6 @@
 #include "measure_options.h"
 
+#include "command_words.h"
 #include "report.h"
 #include "vdb_nns/error.h"
 
@@ -138,11 +139,18 @@ void checkClusters(const std::vector<std::string>& names, const QueryPlan& query
     const PointFileInfo& info = file.info();
     if (info.format == "vdb" || info.format == "ply")
         file.readScalars(name); // whose message knows the nearest name
-    std::string instead;
-    for (const StoredValue& value : list) instead += (instead.empty() ? "'" : ", '") + value.name + "'";
-    throw InvalidInput(
-        flag + ": " + info.path + " has no values named '" + name + "'" +
-        (instead.empty() ? "; a .vdb, a .ply and an .npz may have such values" : "; it has " + instead));
+    if (list.empty())
+        throw InvalidInput(flag + ": " + info.path + " has no values named '" + name +
+                           "'; a .vdb, a .ply and an .npz may have such values");
+    std::string all;
+    std::vector<std::string> names;
+    for (const StoredValue& value : list) {
+        all += (all.empty() ? "'" : ", '") + value.name + "'";
+        names.push_back(value.name);
+    }
+    const std::string nearest = nearestName(name, names);
+    throw InvalidInput(flag + ": " + info.path + " has no values named '" + name + "'; " +
+                       (nearest.empty() ? "it has " : "did you mean '" + nearest + "'? It has ") + all);
 }
 
 // An attribute rather than a group of that name.

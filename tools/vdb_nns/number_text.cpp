@@ -101,7 +101,7 @@ std::uint64_t parseRange(const std::string& text, const std::string& flag, std::
                            std::to_string(high));
     };
     const bool isNumber =
-        !text.empty() && text.size() < 10 &&
+        !text.empty() && text.size() < 20 && // fits 64 bits
         std::all_of(text.begin(), text.end(), [](unsigned char c) { return std::isdigit(c); });
     if (!isNumber) fail();
     const std::uint64_t number = std::strtoull(text.c_str(), nullptr, 10);

@@ -37,29 +37,28 @@ struct ValueExample {
 struct ValueFinding {
     std::string name; // without the prefix
     std::uint64_t checked = 0;
-    std::uint64_t undetermined =
-        0;                   // of these only some properties were checked: doubles do not determine them
-    std::uint64_t count = 0; // wrong
+    std::uint64_t undetermined = 0; // of these: some properties alone, as doubles do not determine the value
+    std::uint64_t count = 0;        // wrong
     std::vector<ValueExample> examples; // the first by query
 };
 
 struct MeasureReport {
     std::uint64_t queries = 0, expectedPairs = 0, exactPairs = 0;
-    std::vector<ValueFinding>
-        findings; // in the order of the names; those of pca are stretch, xform, pws and ellipsoids
+    // In the order of the names; those of pca are stretch, xform, pws and ellipsoids.
+    std::vector<ValueFinding> findings;
 
     std::uint64_t faultCount() const;
     bool passed() const { return faultCount() == 0; }
 };
 
-// Checks the values of every query (or a sample; clusters always of all). Integers, groups and the number of the nearest have to
-// be those of the definition, numbers what rounding makes of the right one or of one within its bound (expected_values.h). A
-// normal or an axis is compared where the sums determine its direction to 1e-4 of a radian; all axes have to be a rotation, and
-// where one component of either of the first two is the largest by far, it has to be positive. The report is the same for any number of
-// threads.
+// Checks the values of every query (or a sample; clusters always of all). Integers, groups and the number of the nearest
+// have to be those of the definition, numbers what rounding makes of the right one or of one within its bound
+// (expected_values.h). A normal or an axis is compared where the sums determine its direction; all axes have to be a
+// rotation, and where one component of either of the first two is the largest by far, it has to be positive. The report is
+// the same for any number of threads.
 // @param terms of the search, whose includeSelf and byDistance do not count; both translations are read, also of one set
-// @throws InvalidInput for a measure that is not known and for values that are not there, InputError for values of another type or
-//         number; and as verifyLists()
+// @throws InvalidInput for a measure that is not known and for values that are not there, InputError for values of another
+//         type or number; and as verifyLists()
 MeasureReport verifyMeasures(const SearchTerms& terms, const MeasureClaims& claims,
                              const VerifyOptions& options = {}, Progress* progress = nullptr);
 

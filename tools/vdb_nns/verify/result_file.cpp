@@ -199,8 +199,8 @@ PointValues ResultFile::read(const MeasuredNames& names, Progress* progress) con
 
 namespace {
 
-// A .ply has properties of one number, no int64 and no groups: vectors are put together again, the integers in doubles become int64,
-// and bytes members.
+// A .ply has properties of one number, no int64 and no groups: vectors are put together again, integers in doubles become
+// int64, and bytes members.
 template <typename To, typename From>
 std::shared_ptr<std::vector<To>> together(const std::vector<PointAttribute>& parts, std::uint64_t count)
 {
