@@ -341,6 +341,7 @@ void writeJobNpz(const std::string& path, SearchEngine& engine, const NeighborLi
                  const JobReport& report, const ListForm& form, const OutputOptions& output)
 {
     const SearchOptions& search = report.settled.search;
+    if (search.hostMemoryBytes > 0) returnFreedMemory(); // of outputs that were written before
     if (report.streamed) {
         streamNpz(path, engine, lists, form, output, report.streamBufferBytes, search);
     } else {

@@ -80,7 +80,7 @@ class Outputs(MeasureCase):
         before = self.bytes(once)
         for names, words in (("density", ["attribute 'nns_density' exists"]), ("count,density", ["'nns_density'"]),
                              ("pca", ["'stretch'"]), ("isolated", ["group 'nns_isolated' exists"])):
-            self.fails(2, "search", once, "--attributes", names, "-o", target, says=[*words, "--force", "--prefix"])
+            self.fails(2, "search", once, "--attributes", names, "-o", target, says=[*words, "--force"])
             self.assertEqual(self.bytes(once), before)
         # In place, too; another prefix does not help pca.
         self.fails(2, "search", once, "--attributes", "density", "-o", once, says="exists")

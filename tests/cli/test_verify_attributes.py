@@ -189,7 +189,7 @@ class VerifyAttributes(CliCase):
     def test_the_table_of_refused_flags(self):
         """docs/cli.md says which flags of measures do not go together: search and verify refuse each row by its last flag."""
         with open(os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "docs", "cli.md")) as file:
-            table = re.search(r"<!-- refused flags of measures -->(.*?)<!-- end", file.read(), re.S).group(1)
+            table = re.search(r"<!-- refused flags of search and verify -->(.*?)<!-- end", file.read(), re.S).group(1)
         rows = [line.split("|")[1] for line in table.strip().splitlines()[2:]]
         self.assertGreater(len(rows), 15)
         for row in rows:

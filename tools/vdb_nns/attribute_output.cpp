@@ -15,9 +15,11 @@ bool makesNewGrid(const PointFile& points)
 void checkNames(const PointFile& points, const std::vector<std::string>& attributes,
                 const std::vector<std::string>& groups)
 {
+    // The names of pca have no prefix.
     const auto refuse = [](const char* what, const std::string& name) {
-        throw InvalidInput(std::string("the ") + what + " '" + name +
-                           "' exists; use --force to replace it, or another --prefix");
+        const bool isPca = name == "stretch" || name == "xform" || name == "pws" || name == "ellipsoids";
+        throw InvalidInput(std::string("the ") + what + " '" + name + "' exists; use --force to replace it" +
+                           (isPca ? "" : ", or another --prefix"));
     };
     const PointFileInfo& info = points.info();
     for (const std::string& name : attributes) {

@@ -199,9 +199,10 @@ SearchPlan checkFlags(const SearchFlags& flags)
     std::vector<std::string> inputs = queryFiles(flags.query);
     inputs.push_back(flags.input.path);
     std::vector<std::string> outputs = flags.outputs;
-    if (!flags.attributesOutput.empty()) {
-        checkNotInput(flags.attributesOutput, inputs); // with --force, too: its arrays have no positions
-        outputs.push_back(flags.attributesOutput);
+    if (!flags.attributesOutput.empty()) outputs.push_back(flags.attributesOutput);
+    // With --force, too: only a .vdb keeps all that was there.
+    for (const std::string& path : outputs) {
+        if (extensionOf(path) != ".vdb") checkNotInput(path, inputs);
     }
     checkOutputs(outputs, inputs, flags.common);
     return plan;
