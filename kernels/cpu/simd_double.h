@@ -12,6 +12,9 @@
 #include <immintrin.h>
 #endif
 
+// Inlined by force: vectors that are returned would go over the stack.
+#define VDB_NNS_INLINE __attribute__((always_inline)) inline
+
 namespace vdb_nns {
 namespace {
 

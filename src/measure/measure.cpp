@@ -1,7 +1,8 @@
 // A pass over the neighbors that makes measures, and the passes that some need besides.
 #include "vdb_nns/measure.h"
 
-#include "measure/clusters.h"
+#include "measure/averaged_values.h"
+#include "measure/cluster_pairs.h"
 #include "measure/measure_list.h"
 #include "measure/pair_positions.h"
 #include "measure/results.h"
@@ -14,107 +15,16 @@
 #include "vdb_nns/error.h"
 #include "vdb_nns/search.h"
 
-#include <tbb/blocked_range.h>
 #include <tbb/enumerable_thread_specific.h>
-#include <tbb/parallel_for.h>
-#include <tbb/parallel_reduce.h>
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
-#include <limits>
 #include <memory>
 #include <optional>
 
 namespace vdb_nns {
 
 namespace {
-
-constexpr std::size_t kChunk = 8192;
-
-template <typename F>
-void forEachChunk(std::size_t count, const CancelCheck& cancel, F&& f)
-{
-    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, kChunk), [&](const auto& range) {
-        cancel.check();
-        f(range.begin(), range.end());
-    });
-}
-
-// ----------------------------------------------------------------------------------------------- attributes
-
-// The numbers of an attribute as kernels read them, and which of its values are finite.
-class AveragedValues {
-public:
-    AveragedValues(const PointAttribute& attribute, const CancelCheck& cancel)
-        : mCount(static_cast<std::size_t>(attribute.count)), mCancel(cancel)
-    {
-        mView.isVector = attributeWidth(attribute.type) == 3;
-        const void* const from = attribute.values.get();
-        switch (attribute.type) {
-        case AttributeType::kFloat:
-        case AttributeType::kVec3s:
-            read<float>(static_cast<const float*>(from));
-            break;
-        case AttributeType::kDouble:
-        case AttributeType::kVec3d:
-            read<double>(static_cast<const double*>(from));
-            break;
-        case AttributeType::kInt32:
-            read<double>(static_cast<const std::int32_t*>(from));
-            break;
-        case AttributeType::kInt64:
-            read<double>(static_cast<const std::int64_t*>(from));
-            break;
-        case AttributeType::kMat3s:
-            break; // averageType() refuses it
-        }
-    }
-
-    AveragedAttribute view() const { return mView; }
-    std::uint64_t skipped() const { return mSkipped; }
-
-private:
-    template <typename To, typename From>
-    void read(const From* from)
-    {
-        const std::size_t width = mView.isVector ? 3 : 1, step = mView.isVector ? 4 : 1;
-        mView.isDouble = sizeof(To) == sizeof(double);
-        mValues.resizeDiscarding(mCount * step * sizeof(To));
-        To* const to = reinterpret_cast<To*>(mValues.data());
-        // Zeros where one of its numbers is not finite. Returns whether all are.
-        const auto copyValue = [=](std::size_t i) {
-            bool isFinite = true;
-            for (std::size_t c = 0; c < width; ++c) {
-                to[step * i + c] = static_cast<To>(from[width * i + c]);
-                isFinite &= std::isfinite(to[step * i + c]);
-            }
-            for (std::size_t c = isFinite ? width : 0; c < step; ++c) to[step * i + c] = 0;
-            return isFinite;
-        };
-        std::atomic<std::uint64_t> skipped{0};
-        forEachChunk(mCount, mCancel, [&](std::size_t begin, std::size_t end) {
-            std::uint64_t bad = 0;
-            for (std::size_t i = begin; i < end; ++i) bad += !copyValue(i);
-            skipped += bad;
-        });
-        mSkipped = skipped;
-        mView.values = to;
-        if (mSkipped == 0) return;
-        mValid.resizeDiscarding(mCount);
-        forEachChunk(mCount, mCancel, [&](std::size_t begin, std::size_t end) {
-            for (std::size_t i = begin; i < end; ++i) mValid[i] = copyValue(i) ? 1 : 0;
-        });
-        mView.valid = mValid.data();
-    }
-
-    const std::size_t mCount;
-    const CancelCheck& mCancel;
-    PageArray<char> mValues;
-    PageArray<double> mValid;
-    AveragedAttribute mView;
-    std::uint64_t mSkipped = 0;
-};
 
 // --------------------------------------------------------------------------------------------------- checks
 
@@ -155,145 +65,6 @@ void checkClusters(const SearchSets& sets, const SearchOptions& search)
     if (!data.areSameParticles() || !data.candidateChosen.empty() || !data.queryChosen.empty())
         throw InvalidInput("clusters are those of all particles: leave queries and groups out");
 }
-
-// ------------------------------------------------------------------------------------------------- clusters
-
-// Which particles are core points, and what the others are near to.
-class CorePoints {
-public:
-    CorePoints(const NeighborLists& counts, std::uint32_t minNeighbors, const CancelCheck& cancel)
-        : mIsCore(counts.size()), mNearest(counts.size() * sizeof(Number))
-    {
-        Number* const nearest = static_cast<Number*>(mNearest.data());
-        forEachChunk(counts.size(), cancel, [&](std::size_t begin, std::size_t end) {
-            for (std::size_t i = begin; i < end; ++i) {
-                mIsCore[i] = counts.count(i) >= minNeighbors;
-                new (nearest + i) Number(kNone);
-            }
-        });
-    }
-
-    static constexpr std::uint32_t kNone = 0xffffffffu;
-
-    bool isCore(std::uint32_t i) const { return mIsCore[i] != 0; }
-    // The core point of the smallest number that is a neighbor of a border point, or has it as one.
-    std::uint32_t coreNear(std::uint32_t border) const
-    {
-        return static_cast<const Number*>(mNearest.data())[border].load(std::memory_order_relaxed);
-    }
-    void offer(std::uint32_t border, std::uint32_t core)
-    {
-        Number& least = static_cast<Number*>(mNearest.data())[border];
-        std::uint32_t known = least.load(std::memory_order_relaxed);
-        while (core < known && !least.compare_exchange_weak(known, core, std::memory_order_relaxed)) {
-        }
-    }
-
-private:
-    using Number = std::atomic<std::uint32_t>;
-    std::vector<std::uint8_t> mIsCore;
-    PageBlock mNearest;
-};
-
-// Takes the pairs of a pass.
-class ClusterPairs {
-public:
-    // Takes 4 bytes a particle of each of the two memories, which outlive it.
-    ClusterPairs(std::size_t particles, std::optional<CorePoints> cores, bool isSymmetric,
-                 PageArray<char> (&memory)[2])
-        : mComponents(particles, memory[0]),
-          mRankMemory(memory[1]),
-          mCores(std::move(cores)),
-          mIsSymmetric(isSymmetric)
-    {
-    }
-
-    void add(std::uint32_t query, const std::uint32_t* neighbors, std::uint32_t count)
-    {
-        // Where every pair comes both ways, one is enough.
-        const auto isFirst = [&](std::uint32_t j) { return !mIsSymmetric || j < query; };
-        if (!mCores) {
-            mComponents.unite(query, neighbors, count, isFirst);
-        } else if (mCores->isCore(query)) {
-            mComponents.unite(query, neighbors, count,
-                              [&](std::uint32_t j) { return isFirst(j) && mCores->isCore(j); });
-            for (std::uint32_t k = 0; k < count && !mIsSymmetric; ++k) {
-                if (!mCores->isCore(neighbors[k])) mCores->offer(neighbors[k], query);
-            }
-        } else {
-            for (std::uint32_t k = 0; k < count; ++k) {
-                if (mCores->isCore(neighbors[k])) mCores->offer(query, neighbors[k]);
-            }
-        }
-    }
-
-    // Writes labels and sizes. `inCluster(i)`: whether a particle can be in one at all.
-    template <typename InCluster>
-    void finish(const MeasureTargets& targets, std::size_t particles, const CancelCheck& cancel,
-                InCluster&& inCluster)
-    {
-        // The root of a cluster is the smallest number in it, of core points if there are any: roots in order have the ranks.
-        const auto isRoot = [&](std::size_t i) {
-            const auto number = static_cast<std::uint32_t>(i);
-            return mComponents.isRoot(number) && (!mCores || mCores->isCore(number)) && inCluster(i);
-        };
-        const std::size_t chunks = (particles + kChunk - 1) / kChunk;
-        std::vector<std::uint32_t> rootsBefore(chunks + 1);
-        const auto forEachChunkOfRoots = [&](auto&& f) {
-            tbb::parallel_for(std::size_t(0), chunks, [&](std::size_t chunk) {
-                cancel.check();
-                const std::size_t end = std::min(particles, (chunk + 1) * kChunk);
-                for (std::size_t i = chunk * kChunk; i < end; ++i) {
-                    if (isRoot(i)) f(chunk, i);
-                }
-            });
-        };
-        forEachChunkOfRoots([&](std::size_t chunk, std::size_t) { ++rootsBefore[chunk + 1]; });
-        for (std::size_t chunk = 0; chunk < chunks; ++chunk) rootsBefore[chunk + 1] += rootsBefore[chunk];
-        mRankMemory.resizeDiscarding(particles * sizeof(std::uint32_t));
-        auto* const rank = reinterpret_cast<std::uint32_t*>(mRankMemory.data());
-        std::vector<std::uint32_t> next(rootsBefore);
-        forEachChunkOfRoots([&](std::size_t chunk, std::size_t i) { rank[i] = next[chunk]++; });
-
-        std::vector<std::atomic<std::uint32_t>> size(rootsBefore.back());
-        const auto labelOf = [&](std::size_t i) {
-            auto with = static_cast<std::uint32_t>(i);
-            if (mCores && !mCores->isCore(with)) with = mCores->coreNear(with);
-            return inCluster(i) && with != CorePoints::kNone ? rank[mComponents.find(with)]
-                                                             : CorePoints::kNone;
-        };
-        forEachChunk(particles, cancel, [&](std::size_t begin, std::size_t end) {
-            // Counted run by run, for most points are in a few clusters.
-            std::uint32_t last = CorePoints::kNone, run = 0;
-            const auto add = [&] {
-                if (last != CorePoints::kNone) size[last].fetch_add(run, std::memory_order_relaxed);
-            };
-            for (std::size_t i = begin; i < end; ++i) {
-                const std::uint32_t label = labelOf(i);
-                if (targets.cluster && label != CorePoints::kNone)
-                    putInteger(targets.cluster, targets.areWide, i, label);
-                if (label != last) add(), last = label, run = 0;
-                ++run;
-            }
-            add();
-        });
-        if (!targets.clusterSize) return;
-        forEachChunk(particles, cancel, [&](std::size_t begin, std::size_t end) {
-            for (std::size_t i = begin; i < end; ++i) {
-                const std::uint32_t label = labelOf(i);
-                if (label != CorePoints::kNone)
-                    putInteger(targets.clusterSize, targets.areWide, i,
-                               size[label].load(std::memory_order_relaxed));
-            }
-        });
-    }
-
-private:
-    Components mComponents;
-    PageArray<char>& mRankMemory;
-    std::optional<CorePoints> mCores;
-    bool mIsSymmetric;
-};
 
 // --------------------------------------------------------------------------------------------------- passes
 

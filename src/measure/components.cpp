@@ -1,4 +1,4 @@
-#include "measure/clusters.h"
+#include "measure/components.h"
 
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>

@@ -1,0 +1,261 @@
+// Weights and sums of measures (measure_rows.h) for the instruction set of the including file. Internal linkage; see simd.h.
+#pragma once
+
+#include "cpu/measure_rows.h"
+#include "cpu/simd_double.h"
+
+namespace vdb_nns {
+namespace {
+
+// -------------------------------------------------------------------------------------------------- weights
+
+template <PairWeight kWeight>
+SimdD::D weightOf(SimdD::D q)
+{
+    using S = SimdD;
+    const S::D one = S::set(1);
+    if (kWeight == PairWeight::kCubic) {
+        const S::D near = S::add(S::mul(S::mul(S::set(6), S::mul(q, q)), S::sub(q, one)), one);
+        const S::D left = S::sub(one, q);
+        const S::D far = S::mul(S::add(left, left), S::mul(left, left));
+        return S::where(S::less(q, S::set(0.5)), near, far);
+    }
+    if (kWeight == PairWeight::kWendland2) {
+        const S::D left = S::sub(one, q), square = S::mul(left, left);
+        return S::mul(S::mul(square, square), S::add(one, S::mul(S::set(4), q)));
+    }
+    if (kWeight == PairWeight::kPoly6) {
+        const S::D left = S::sub(one, S::mul(q, q));
+        return S::mul(S::mul(left, left), left);
+    }
+    if (kWeight == PairWeight::kPca) return S::sub(one, S::mul(S::mul(q, q), q));
+    return one;
+}
+
+// Ones for the pairs of a group, zeros for its pads.
+struct PairMasks {
+    alignas(64) double lane[kGroup + 1][kGroup];
+    constexpr PairMasks() : lane()
+    {
+        for (std::size_t pairs = 0; pairs <= kGroup; ++pairs) {
+            for (std::size_t k = 0; k < pairs; ++k) lane[pairs][k] = 1;
+        }
+    }
+};
+alignas(64) constexpr PairMasks kPairMasks;
+
+template <PairWeight kWeight>
+void weigh(const PairGroups& groups, const double* distance, const double* inverse, std::size_t inverseStep,
+           double* out)
+{
+    using S = SimdD;
+    const S::D first = S::set(inverse[0]);
+    for (std::size_t g = 0; g < groups.groups; ++g) {
+        const double* const mask = kPairMasks.lane[groups.pairs[g]];
+        for (std::size_t lane = 0; lane < kGroup; lane += S::kLanes) {
+            const std::size_t k = g * kGroup + lane;
+            const S::D by = inverseStep == 0 ? first : S::load(inverse + k);
+            const S::D q = S::min(S::mul(S::load(distance + k), by), S::set(1));
+            S::store(out + k, S::mul(weightOf<kWeight>(q), S::load(mask + lane)));
+        }
+    }
+}
+
+inline void weights(PairWeight weight, const PairGroups& groups, const double* distance,
+                    const double* inverse, std::size_t inverseStep, double* out)
+{
+    switch (weight) {
+    case PairWeight::kCubic:
+        return weigh<PairWeight::kCubic>(groups, distance, inverse, inverseStep, out);
+    case PairWeight::kWendland2:
+        return weigh<PairWeight::kWendland2>(groups, distance, inverse, inverseStep, out);
+    case PairWeight::kPoly6:
+        return weigh<PairWeight::kPoly6>(groups, distance, inverse, inverseStep, out);
+    case PairWeight::kTophat:
+        return weigh<PairWeight::kTophat>(groups, distance, inverse, inverseStep, out);
+    case PairWeight::kPca:
+        return weigh<PairWeight::kPca>(groups, distance, inverse, inverseStep, out);
+    }
+}
+
+// ----------------------------------------------------------------------------------------------------- sums
+
+// 1.5 * 2^52 + an integer below 2^51 has the integer as its lowest bits.
+constexpr double kShift = 6755399441055744.0;
+constexpr std::uint64_t kShiftBits = 0x4338000000000000u;
+
+inline double powerOfTwo(int exponent)
+{
+    const std::uint64_t bits = static_cast<std::uint64_t>(exponent + 1023) << 52;
+    double power;
+    std::memcpy(&power, &bits, sizeof power);
+    return power;
+}
+
+// What brings the terms of a row, of magnitudes up to `greatest`, to integers.
+inline RowScale scaleOf(double greatest, std::uint32_t count)
+{
+    constexpr int kLeastExponent = -900; // what is smaller would need a scale that no double holds
+    std::uint64_t bits;
+    std::memcpy(&bits, &greatest, sizeof bits);
+    int exponent = static_cast<int>(bits >> 52) - 1022; // the greatest is below 2^exponent
+    if (exponent > 1024) return {0, __builtin_inf()};
+    if (exponent < kLeastExponent) exponent = kLeastExponent;
+    const int spare = 62 - (32 - __builtin_clz(count | 1));
+    const int most = spare < 50 ? spare : 50;
+    return {powerOfTwo(most - exponent), powerOfTwo(exponent - most)};
+}
+
+// Pairs and pads.
+inline std::uint32_t pairsOfRow(const PairGroups& groups, std::size_t r)
+{
+    return (groups.firstGroup[r + 1] - groups.firstGroup[r]) * static_cast<std::uint32_t>(kGroup);
+}
+
+// scaleOf() of each row by the largest of magnitude(k), a vector of lanes from the pair k on.
+template <typename Magnitude>
+VDB_NNS_INLINE void scaleRows(const PairGroups& groups, const double* greatest, RowScale* out,
+                              Magnitude&& magnitude)
+{
+    using S = SimdD;
+    for (std::size_t r = 0; r < groups.rows; ++r) {
+        double most = greatest ? greatest[r] : 0;
+        if (!(most > 0)) {
+            S::D largest = S::set(0);
+            const std::size_t end = groups.firstGroup[r + 1] * kGroup;
+            for (std::size_t k = groups.firstGroup[r] * kGroup; k < end; k += S::kLanes)
+                largest = S::max(largest, magnitude(k));
+            most = S::greatest(largest);
+        }
+        out[r] = scaleOf(most, pairsOfRow(groups, r));
+    }
+}
+
+inline void scales(const PairGroups& groups, const double* greatest, const double* weight,
+                   const double* const* factors, int factorCount, RowScale* out)
+{
+    using S = SimdD;
+    const auto factor = [&](int f, std::size_t k) { return S::abs(S::load(factors[f] + k)); };
+    if (factorCount == 0) {
+        scaleRows(groups, greatest, out, [&](std::size_t k) { return S::load(weight + k); });
+    } else if (factorCount == 1) {
+        scaleRows(groups, greatest, out,
+                  [&](std::size_t k) { return S::mul(S::load(weight + k), factor(0, k)); });
+    } else {
+        scaleRows(groups, greatest, out, [&](std::size_t k) {
+            const S::D largest = S::max(S::max(factor(0, k), factor(1, k)), factor(2, k));
+            return S::mul(S::load(weight + k), largest);
+        });
+    }
+}
+
+// Adds up the scaled terms of all groups, `kSums` at once: term(k, t) writes those from the pair k on. A row's sum is then the
+// difference of two running sums, modulo 2^64.
+template <int kSums, typename Term>
+VDB_NNS_INLINE void sumRows(const PairGroups& groups, const RowScale* scales, std::uint64_t* scratch,
+                            double* out, Term&& term)
+{
+    using S = SimdD;
+    S::I running[kSums];
+    for (S::I& sum : running) sum = S::zero();
+    const auto note = [&](std::size_t g) {
+        for (int n = 0; n < kSums; ++n)
+            S::storeBits(scratch + (g * kSums + static_cast<std::size_t>(n)) * S::kLanes, running[n]);
+    };
+    note(0);
+    for (std::size_t g = 0; g < groups.groups; ++g) {
+        const S::D scale = S::set(scales[groups.row[g]].scale);
+        for (std::size_t lane = 0; lane < kGroup; lane += S::kLanes) {
+            S::D terms[kSums];
+            term(g * kGroup + lane, terms);
+            for (int n = 0; n < kSums; ++n)
+                running[n] = S::addBits(running[n], S::add(S::mul(terms[n], scale), S::set(kShift)));
+        }
+        note(g + 1);
+    }
+    for (std::size_t r = 0; r < groups.rows; ++r) {
+        const std::size_t first = groups.firstGroup[r], end = groups.firstGroup[r + 1];
+        for (std::size_t n = 0; n < kSums; ++n, ++out) {
+            const std::uint64_t sum =
+                S::sum(S::difference(S::loadBits(scratch + (end * kSums + n) * S::kLanes),
+                                     S::loadBits(scratch + (first * kSums + n) * S::kLanes))) -
+                (end - first) * kGroup * kShiftBits;
+            // Without a scale terms are infinite.
+            *out = scales[r].scale > 0
+                       ? static_cast<double>(static_cast<std::int64_t>(sum)) * scales[r].inverse
+                       : scales[r].inverse;
+        }
+    }
+}
+
+inline void sums(const PairGroups& groups, const RowScale* scales, const double* weight,
+                 const double* const* factors, int factorCount, std::uint64_t* scratch, double* out)
+{
+    using S = SimdD;
+    if (factorCount == 0) {
+        sumRows<1>(groups, scales, scratch, out,
+                   [&](std::size_t k, S::D(&terms)[1]) { terms[0] = S::load(weight + k); });
+    } else if (factorCount == 1) {
+        sumRows<1>(groups, scales, scratch, out, [&](std::size_t k, S::D(&terms)[1]) {
+            terms[0] = S::mul(S::load(weight + k), S::load(factors[0] + k));
+        });
+    } else {
+        sumRows<3>(groups, scales, scratch, out, [&](std::size_t k, S::D(&terms)[3]) {
+            const S::D w = S::load(weight + k);
+            for (int f = 0; f < 3; ++f) terms[f] = S::mul(w, S::load(factors[f] + k));
+        });
+    }
+}
+
+inline void moments(const PairGroups& groups, const double* weight, const double* x, const double* y,
+                    const double* z, const double* centers, RowScale* rowScales, std::uint64_t* scratch,
+                    double* out)
+{
+    using S = SimdD;
+    const auto fromCenter = [&](std::size_t k, S::D(&d)[3]) {
+        const double* const center = centers + std::size_t(3) * groups.row[k / kGroup];
+        d[0] = S::sub(S::load(x + k), S::set(center[0]));
+        d[1] = S::sub(S::load(y + k), S::set(center[1]));
+        d[2] = S::sub(S::load(z + k), S::set(center[2]));
+    };
+    // Each product is at most the square, and its roundings are far below the bits that are left.
+    scaleRows(groups, nullptr, rowScales, [&](std::size_t k) {
+        S::D d[3];
+        fromCenter(k, d);
+        const S::D square = S::add(S::add(S::mul(d[0], d[0]), S::mul(d[1], d[1])), S::mul(d[2], d[2]));
+        return S::mul(S::load(weight + k), square);
+    });
+    sumRows<6>(groups, rowScales, scratch, out, [&](std::size_t k, S::D(&terms)[6]) {
+        S::D d[3];
+        fromCenter(k, d);
+        const S::D w = S::load(weight + k);
+        const S::D wx = S::mul(w, d[0]), wy = S::mul(w, d[1]), wz = S::mul(w, d[2]);
+        terms[0] = S::mul(wx, d[0]);
+        terms[1] = S::mul(wy, d[1]);
+        terms[2] = S::mul(wz, d[2]);
+        terms[3] = S::mul(wx, d[1]);
+        terms[4] = S::mul(wx, d[2]);
+        terms[5] = S::mul(wy, d[2]);
+    });
+}
+
+inline void least(const PairGroups& groups, double* distance, double* out)
+{
+    using S = SimdD;
+    for (std::size_t r = 0; r < groups.rows; ++r) {
+        S::D nearest = S::set(__builtin_inf());
+        const std::size_t end = groups.firstGroup[r + 1] * kGroup;
+        for (std::size_t k = groups.firstGroup[r] * kGroup; k < end; k += S::kLanes)
+            nearest = S::min(nearest, S::load(distance + k));   // pads repeat the last pair
+        out[r] = 0.0 - S::greatest(S::sub(S::set(0), nearest)); // never a negative zero
+    }
+    for (std::size_t g = 0; g < groups.groups; ++g) {
+        for (std::size_t lane = 0; lane < kGroup; lane += S::kLanes) {
+            double* const d = distance + g * kGroup + lane;
+            S::store(d, S::mul(S::load(d), S::load(kPairMasks.lane[groups.pairs[g]] + lane)));
+        }
+    }
+}
+
+} // namespace
+} // namespace vdb_nns
