@@ -46,6 +46,17 @@ WrittenPoints writeNewVdb(const std::string& path, const ParticleView& positions
                           const NewGridOptions& options = {}, const OutputOptions& output = {},
                           Progress* progress = nullptr);
 
+/// Fails early where writeNewVdb() could not write the positions. Cost: a pass over them.
+/// @throws as that
+void checkNewVdb(const std::string& path, const ParticleView& positions, const NewGridOptions& options = {},
+                 Progress* progress = nullptr);
+
+/// Fails early where a file could not have values of these names and types: a .vdb, a .ply, or an .npz of arrays without
+/// positions, by the extension of `path`. The values themselves are not looked at.
+/// @param id of a new .vdb: NewGridOptions::id; empty for values that are added to one
+/// @throws InvalidInput for such a name, with the reason, and for another extension
+void checkValueNames(const std::string& path, const PointValues& values, const std::string& id = {});
+
 /// Names of the properties that an attribute of a .ply becomes: NAME; NAME_x NAME_y NAME_z; NAME_xx, NAME_xy, ... NAME_zz,
 /// row by row; nx ny nz for the vector `normal`.
 std::vector<std::string> plyProperties(const std::string& name, AttributeType type);

@@ -158,6 +158,11 @@ void checkConversion(const std::string& path, const ConvertOptions& options)
         throw InvalidInput(path + ": only a .vdb has voxels; leave the voxel size (--voxel-size) out");
 }
 
+void checkValueNames(const std::string& path, const PointValues& values, const std::string& id)
+{
+    ValueNames(formatOf(path).format, id, /*hasPositions=*/false).addAll(path, values);
+}
+
 Conversion convertPoints(const PointFile& file, const std::string& path, const ConvertOptions& options,
                          const OutputOptions& output, Progress* progress)
 {

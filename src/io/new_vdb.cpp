@@ -147,6 +147,17 @@ void checkVoxelSize(const std::string& path, double edge)
 
 } // namespace
 
+void checkNewVdb(const std::string& path, const ParticleView& view, const NewGridOptions& options,
+                 Progress* progress)
+{
+    checkVoxelSize(path, options.voxelSize);
+    if (options.voxelSize == 0) return; // what is chosen holds all of them
+    isolated([&] {
+        const CancelCheck cancel(progress, "read");
+        checkExtent(path, WorldPositions(view).measure(cancel), options.voxelSize);
+    });
+}
+
 WrittenPoints writeNewVdb(const std::string& path, const ParticleView& view, const PointValues& values,
                           const NewGridOptions& options, const OutputOptions& output, Progress* progress)
 {

@@ -332,8 +332,9 @@ class Refused(MeasureCase):
         self.refused(2, self.array, "density", "--voxel-size", 1, out=["-o", self.path("x.ply")], says=refused)
         for size in ("0", "-1", "nan", "inf", "x", ""):
             self.refused(2, self.path("missing.npz"), "density", "--voxel-size", size, out=["-o", self.path("x.vdb")], says="--voxel-size")
-        self.refused(3, self.array, "density", "--voxel-size", 1e-12, out=["-o", self.path("x.vdb")],
-                     says=["x.vdb", "voxels of 1e-12", "give a --voxel-size of at least"])
+        for before in ([], ["-o", self.path("lists.npz")], ["-o", self.path("x.ply")]):  # no other output is written, either
+            self.refused(3, self.array, "density", "--voxel-size", 1e-12, out=[*before, "-o", self.path("x.vdb")],
+                         says=["x.vdb", "voxels of 1e-12", "give a --voxel-size of at least"])
         # What the message names works.
         done = run("search", self.array, "-r", "0.2", "-o", self.path("x.vdb"), "--voxel-size", "1e-12")
         self.succeeds("search", self.array, "-r", "0.2", "-o", self.path("x.vdb"), "--voxel-size", done.err.split()[-1], "-q")

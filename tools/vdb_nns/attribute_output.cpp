@@ -12,8 +12,9 @@ bool makesNewGrid(const PointFile& points)
     return points.info().format != "vdb";
 }
 
-void checkNames(const PointFile& points, const std::vector<std::string>& attributes,
-                const std::vector<std::string>& groups)
+namespace {
+
+void checkExisting(const PointFile& points, const PointValues& values)
 {
     // The names of pca have no prefix.
     const auto refuse = [](const char* what, const std::string& name) {
@@ -22,33 +23,43 @@ void checkNames(const PointFile& points, const std::vector<std::string>& attribu
                            (isPca ? "" : ", or another --prefix"));
     };
     const PointFileInfo& info = points.info();
-    for (const std::string& name : attributes) {
-        const auto isIt = [&](const AttributeInfo& a) { return a.name == name; };
-        if (std::any_of(info.attributes.begin(), info.attributes.end(), isIt)) refuse("attribute", name);
+    for (const PointAttribute& attribute : values.attributes) {
+        const auto isIt = [&](const AttributeInfo& a) { return a.name == attribute.name; };
+        if (std::any_of(info.attributes.begin(), info.attributes.end(), isIt))
+            refuse("attribute", attribute.name);
     }
-    for (const std::string& name : groups) {
-        if (std::find(info.groups.begin(), info.groups.end(), name) != info.groups.end())
-            refuse("group", name);
+    for (const PointGroup& group : values.groups) {
+        if (std::find(info.groups.begin(), info.groups.end(), group.name) != info.groups.end())
+            refuse("group", group.name);
+    }
+}
+
+} // namespace
+
+void checkAttributeOutputs(const AttributeOutputs& outputs, const PointFile& points,
+                           const PointValues& values, const NewGridOptions& grid, bool mayReplace,
+                           Progress* progress)
+{
+    if (!outputs.arrays.empty()) checkValueNames(outputs.arrays, values);
+    for (const std::string& path : outputs.points) {
+        const bool isVdb = extensionOf(path) == ".vdb", isNew = isVdb && makesNewGrid(points);
+        checkValueNames(path, values, isNew ? grid.id : std::string());
+        if (isNew) checkNewVdb(path, points.view(), grid, progress);
+        if (isVdb && !isNew && !mayReplace) checkExisting(points, values);
     }
 }
 
 std::optional<WrittenPoints> writePoints(const std::string& path, const PointFile& points,
-                                         const PointValues& values, double radius,
-                                         const std::optional<double>& voxelSize, const OutputOptions& output,
-                                         Progress* progress)
+                                         const PointValues& values, const NewGridOptions& grid,
+                                         const OutputOptions& output, Progress* progress)
 {
     if (extensionOf(path) == ".ply") {
         writePly(path, points.view(), values, output, progress);
         return std::nullopt;
     }
-    if (!makesNewGrid(points)) {
-        points.writeVdb(path, values, output, progress);
-        return std::nullopt;
-    }
-    NewGridOptions grid;
-    grid.voxelSize = voxelSize.value_or(radius);
-    grid.suggestedRadius = radius;
-    return writeNewVdb(path, points.view(), values, grid, output, progress);
+    if (makesNewGrid(points)) return writeNewVdb(path, points.view(), values, grid, output, progress);
+    points.writeVdb(path, values, output, progress);
+    return std::nullopt;
 }
 
 std::vector<std::string> warningsOf(const std::string& path, const WrittenPoints& written)

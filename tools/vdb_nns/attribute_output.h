@@ -16,25 +16,27 @@ namespace vdb_nns::cli {
 struct AttributeOutputs {
     std::vector<std::string> points; ///< .vdb and .ply
     std::string arrays;              ///< .npz of the attributes alone; empty: none
-    std::optional<double> voxelSize; ///< of a new .vdb; else the radius
 };
 
 /// Whether a .vdb of such points is a new grid rather than a copy of theirs.
 bool makesNewGrid(const PointFile& points);
 
-/// Refuses names that the points have already and that would be replaced.
-/// @throws InvalidInput
-void checkNames(const PointFile& points, const std::vector<std::string>& attributes,
-                const std::vector<std::string>& groups);
+/// Refuses what could not be written, before a search: names that the points have already and that would be replaced (without
+/// `mayReplace`) or that a format cannot have, and voxels that are too small.
+/// @param values names and types alone
+/// @param grid of a new .vdb
+/// @throws InvalidInput, InputError
+void checkAttributeOutputs(const AttributeOutputs& outputs, const PointFile& points,
+                           const PointValues& values, const NewGridOptions& grid, bool mayReplace,
+                           Progress* progress);
 
 /// Writes `path`, the points with the values.
-/// @param radius of the search: voxels of a new grid are as large, and it is the grid's `suggested_radius`
+/// @param grid of a new .vdb
 /// @return of a new grid what became of the points
 /// @throws as the writers of write_points.h and PointFile::writeVdb()
 std::optional<WrittenPoints> writePoints(const std::string& path, const PointFile& points,
-                                         const PointValues& values, double radius,
-                                         const std::optional<double>& voxelSize, const OutputOptions& output,
-                                         Progress* progress);
+                                         const PointValues& values, const NewGridOptions& grid,
+                                         const OutputOptions& output, Progress* progress);
 
 /// Sentences about what writing changed: points that are left out, positions that were rounded.
 std::vector<std::string> warningsOf(const std::string& path, const WrittenPoints& written);

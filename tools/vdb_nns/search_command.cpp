@@ -21,6 +21,7 @@
 #include "vdb_nns/write_points.h"
 
 #include <algorithm>
+#include <cmath>
 #include <memory>
 #include <tbb/combinable.h>
 
@@ -48,6 +49,7 @@ struct SearchPlan {
     QueryPlan query;
     MeasurePlan measure;
     AttributeOutputs attributes;
+    std::optional<double> voxelSize; // of a new .vdb; else the radius
     int threads = 0;
 
     bool writesAttributes() const { return !attributes.points.empty() || !attributes.arrays.empty(); }
@@ -120,7 +122,7 @@ void checkOutputKinds(const SearchFlags& flags, SearchPlan& plan)
                            " has another extension than .npz, the format of named arrays");
     plan.job.written.vdb = plan.writesAttributes();
     if (!flags.voxelSize.empty()) {
-        plan.attributes.voxelSize = parsePositive(flags.voxelSize, "--voxel-size");
+        plan.voxelSize = parsePositive(flags.voxelSize, "--voxel-size");
         if (!hasNewGrid)
             throw InvalidInput(
                 "--voxel-size is that of a new .vdb: there is none where the points come from a "
@@ -208,16 +210,31 @@ SearchPlan checkFlags(const SearchFlags& flags)
     return plan;
 }
 
-// Attributes and groups to be written must not exist.
-void checkExisting(const SearchFlags& flags, const SearchPlan& plan, const PointFile& file)
+// Voxels of a new .vdb are as large as the radius, or the largest, if they are not said to be otherwise. A radius that served all
+// points is what the file suggests.
+NewGridOptions newGridOptions(const SearchPlan& plan, const QueryInput& input, double radius)
 {
-    const auto isCopy = [](const std::string& path) { return extensionOf(path) == ".vdb"; };
-    const std::vector<std::string>& points = plan.attributes.points;
-    if (flags.common.force || makesNewGrid(file) || std::none_of(points.begin(), points.end(), isCopy))
-        return;
-    std::vector<std::string> names;
-    for (const MeasuredNames::Value& value : plan.measure.results.attributes) names.push_back(value.name);
-    checkNames(file, names, plan.measure.results.groups);
+    NewGridOptions grid;
+    if (!plan.query.hasRadii) grid.suggestedRadius = radius;
+    double largest = plan.query.hasRadii ? 0 : radius;
+    for (const std::vector<double>* radii : {&input.queryRadii, &input.candidateRadii}) {
+        for (const double r : *radii) {
+            if (std::isfinite(r)) largest = std::max(largest, r);
+        }
+    }
+    grid.voxelSize = plan.voxelSize.value_or(largest);
+    return grid;
+}
+
+// The result attributes by name and type alone.
+PointValues namesOf(const MeasurePlan& plan, const MeasureOptions& options)
+{
+    PointValues values;
+    const MeasuredNames names = checkMeasures(plan.names, options); // which knows the types of averages now
+    for (const MeasuredNames::Value& value : names.attributes)
+        values.attributes.push_back({value.name, value.type, 0, nullptr});
+    for (const std::string& group : names.groups) values.groups.push_back({group, 0, nullptr});
+    return values;
 }
 
 // The job, `repeat` times with buffers kept; the last lists are returned.
@@ -315,8 +332,8 @@ void reportValues(const PointValues& values, const JobReport& job, SearchReport&
 }
 
 void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const SearchPlan& plan,
-                  const JobReport& job, const PointFile& file, const NeighborLists& lists,
-                  ProgressPrinter& progress, SearchReport& report)
+                  const JobReport& job, const PointFile& file, const NewGridOptions& grid,
+                  const NeighborLists& lists, ProgressPrinter& progress, SearchReport& report)
 {
     std::vector<std::string> paths = flags.outputs;
     if (!plan.attributes.arrays.empty()) paths.push_back(plan.attributes.arrays);
@@ -338,8 +355,7 @@ void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const SearchPl
             writeArraysNpz(path, values, output, &progress);
         } else if (extensionOf(path) == ".npz") {
             if (!job.written) writeJobNpz(path, engine, lists, job, listForm(flags, plan), output);
-        } else if (const auto written = writePoints(path, file, values, report.radius,
-                                                    plan.attributes.voxelSize, output, &progress)) {
+        } else if (const auto written = writePoints(path, file, values, grid, output, &progress)) {
             report.measures->voxelSize = written->voxelSize;
             report.measures->largestRounding = written->largestRounding;
             for (const std::string& warning : warningsOf(path, *written)) {
@@ -378,13 +394,17 @@ int searchFile(const SearchFlags& flags, const SearchPlan& plan, int threads, Se
     const QueryInput input =
         readQuerySets(flags.input, flags.query, plan.query, needs, {progress, 0, 0.2}, session, report);
     const PointFile& rows = input.queries ? *input.queries : input.candidates;
-    checkExisting(flags, plan, rows);
     MeasureInput measured;
     JobOptions options = plan.job;
+    options.measure = plan.measure.options;
     if (!plan.job.measures.empty()) {
         measured = readMeasureInput(input.candidates, plan.measure, &progress);
         options.measure = optionsOf(plan.measure, measured);
     }
+    const NewGridOptions grid = newGridOptions(plan, input, report.radius);
+    if (plan.writesAttributes())
+        checkAttributeOutputs(plan.attributes, rows, namesOf(plan.measure, options.measure), grid,
+                              flags.common.force, &progress);
 
     SearchEngine engine;
     JobReport job;
@@ -392,7 +412,7 @@ int searchFile(const SearchFlags& flags, const SearchPlan& plan, int threads, Se
     if (plan.query.hasRadii) report.radius = lists.sets().radius();
     fillReport(engine, flags, job, lists, report);
     makeChecksum(engine, flags, job, lists, report);
-    writeOutputs(engine, flags, plan, job, rows, lists, progress, report);
+    writeOutputs(engine, flags, plan, job, rows, grid, lists, progress, report);
     throwIfStopped();
     progress.finish();
     report.peakBytes = peakMemoryBytes();
