@@ -266,6 +266,62 @@ TEST(SearchJob, PlansWithoutRunning)
     EXPECT_EQ(engine.planJob(view, scene.suggestedRadius, jobOn("cpu")).plan.schedule.blocks.size(), 1u);
 }
 
+// Of sets with roles and radii: tests and the bytes of masks exactly, pairs from counted queries.
+TEST(SearchJob, PlansSets)
+{
+    const Scene scene = sceneOf("dam_break", 60000);
+    const ParticleView view = viewOf(scene);
+    std::vector<std::uint8_t> chosen(view.size());
+    std::vector<double> radii(view.size());
+    for (std::size_t i = 0; i < view.size(); ++i) {
+        chosen[i] = i % 3 == 0;
+        radii[i] = scene.suggestedRadius * (i % 2 ? 1 : 0.6);
+    }
+    Radius ofEach;
+    ofEach.ofQueries = {radii.data(), radii.size()};
+    const ParticleSet queries(view, {chosen.data(), chosen.size()});
+    for (const Radius& radius : {Radius(scene.suggestedRadius), ofEach}) {
+        JobOptions options = jobOn("cpu");
+        options.search.encoding = Encoding::kMask;
+        SearchEngine engine;
+        const JobPlan planned = engine.planJob(view, queries, radius, options);
+        const NeighborLists lists = engine.search(planned.sets, options.search);
+        EXPECT_EQ(planned.plan.total.particles, planned.sets.finiteQueries());
+        EXPECT_EQ(planned.plan.total.candidateTests, countCandidateTests(planned.sets));
+        const double found = static_cast<double>(lists.statistics().pairs);
+        EXPECT_NEAR(planned.plan.total.expectedPairs / found, 1, 0.1);
+        EXPECT_GT(planned.plan.countedQueries, 0u);
+        options.device = chooseDevices("sim", 2);
+        EXPECT_THROW(engine.planJob(view, queries, radius, options), InvalidInput);
+    }
+}
+
+// Measures are the same whether they are made in the pass that counts or in one of their own, after lists or after devices.
+TEST(SearchJob, MakesMeasures)
+{
+    const Scene scene = sceneOf("dam_break", 30000);
+    const ParticleView view = viewOf(scene);
+    std::vector<std::string> bytes;
+    for (const char* device : {"cpu", "sim"}) {
+        for (const Encoding encoding : {Encoding::kNone, Encoding::kIndex, Encoding::kMask}) {
+            JobOptions options = jobOn(device);
+            options.search.encoding = encoding;
+            options.measures = {"density", "cluster"};
+            JobReport report;
+            const NeighborLists lists =
+                SearchEngine().findNeighbors(view, scene.suggestedRadius, options, report);
+            EXPECT_EQ(report.measureSeconds.has_value(), encoding != Encoding::kNone || device[0] == 's');
+            ASSERT_EQ(report.measured.attributes.size(), 2u);
+            bytes.emplace_back();
+            for (const PointAttribute& a : report.measured.attributes)
+                bytes.back().append(static_cast<const char*>(a.values.get()),
+                                    a.count * attributeBytes(a.type));
+            EXPECT_EQ(bytes.back(), bytes.front());
+            EXPECT_EQ(lists.counts().size(), view.size());
+        }
+    }
+}
+
 TEST(SearchJob, TellsItsSteps)
 {
     class Steps : public Progress {
