@@ -154,8 +154,8 @@ void checkClusters(const std::vector<std::string>& names, const QueryPlan& query
 }
 
 // An attribute rather than a group of that name.
-const StoredValue& findValue(const PointFile& file, const std::vector<StoredValue>& list,
-                             const std::string& name, const std::string& flag)
+StoredValue findValue(const PointFile& file, const std::vector<StoredValue>& list, const std::string& name,
+                      const std::string& flag)
 {
     const StoredValue* group = nullptr;
     for (const StoredValue& value : list) {
@@ -211,7 +211,7 @@ void checkMasses(const PointFile& file, const std::string& name, const std::vect
 std::vector<double> readMasses(const PointFile& file, const std::vector<StoredValue>& list,
                                const std::string& name, Progress* progress)
 {
-    const StoredValue& value = findValue(file, list, name, "--mass-attribute");
+    const StoredValue value = findValue(file, list, name, "--mass-attribute");
     if (value.isGroup || !value.readAs || !isScalar(*value.readAs)) {
         throw InputError("--mass-attribute: " + file.info().path + ": '" + name + "' has type " + value.type +
                          "; masses are one number a point: float, double, int32 or int64");
@@ -226,7 +226,7 @@ std::vector<PointAttribute> readAveraged(const PointFile& file, const std::vecto
 {
     std::vector<StoredValue> chosen;
     for (const std::string& name : names) {
-        const StoredValue& value = findValue(file, list, name, "--attributes average:" + name);
+        const StoredValue value = findValue(file, list, name, "--attributes average:" + name);
         if (value.isGroup || !value.readAs || *value.readAs == AttributeType::kMat3s) {
             throw InputError(
                 "--attributes average:" + name + ": " + file.info().path + ": '" + name + "' has type " +
