@@ -38,7 +38,7 @@ public:
                 }
             }
             VDB_NNS_CUDA_CHECK(cudaEventCreateWithFlags(&mOpened, cudaEventDefault));
-            VDB_NNS_CUDA_CHECK(cudaEventRecord(mOpened, mQueues.at(0).stream));
+            startClock();
         } catch (...) {
             close();
             throw;
@@ -88,9 +88,7 @@ public:
     {
         handBack();
         mPeakBytes = 0;
-        // Times are counted from here: floats of milliseconds do not stay fine for long.
-        VDB_NNS_CUDA_CHECK(cudaEventRecord(mOpened, mQueues.at(0).stream));
-        std::fill(std::begin(mCounted), std::end(mCounted), 0.0f);
+        startClock();
     }
 
     void upload(int buffer, std::byte* device, const std::byte* staging, std::uint64_t bytes) override
@@ -160,6 +158,15 @@ private:
 
     // Every thread that calls CUDA says for which device.
     void select() const { VDB_NNS_CUDA_CHECK(cudaSetDevice(mOptions.ordinal)); }
+
+    // Times are counted from here: floats of milliseconds do not stay fine for long. The event is complete before any other queue
+    // is waited for, which knows only its own.
+    void startClock()
+    {
+        VDB_NNS_CUDA_CHECK(cudaEventRecord(mOpened, mQueues.at(0).stream));
+        VDB_NNS_CUDA_CHECK(cudaEventSynchronize(mOpened));
+        std::fill(std::begin(mCounted), std::end(mCounted), 0.0f);
+    }
 
     template <typename Enqueue>
     void run(int number, Step step, Enqueue&& enqueue)

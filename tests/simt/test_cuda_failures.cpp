@@ -1,13 +1,17 @@
 // What happens when a CUDA call fails: memory that is refused makes blocks smaller and in the end leaves them to the CPU; any
 // other failure is a DeviceError that names the call, or leaves the device's blocks to the CPU. Nothing leaks either way.
+#include "cuda/launch.h"
 #include "plan/workload_cases.h"
+#include "shared/block_device.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/planning/executor.h"
 
 #include <cuda_runtime_api.h>
 #include <gtest/gtest.h>
 
+#include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -64,6 +68,25 @@ Outcome searchWith(DeviceFailure onFailure, std::uint64_t divisor, const char* f
 std::uint64_t trueChecksum()
 {
     return SearchEngine().search(problem().grid, {}).checksum();
+}
+
+// The event that times are counted from is another queue's. The emulation runs queues in any order.
+TEST(CudaFailures, QueuesAreTimedFromAnEventThatIsComplete)
+{
+    for (std::uint64_t seed = 1; seed <= 64; ++seed) {
+        simt::resetMachine({kDeviceBytes}, seed);
+        cuda::OpenOptions options;
+        options.budgetBytes = kDeviceBytes / 2;
+        options.buffers = 2;
+        const std::unique_ptr<BlockDevice> device = cuda::openBlockDevice(options);
+        for (int run = 0; run < 2; ++run) {
+            device->restart();
+            std::byte* const staging = device->allocateStaging(64);
+            std::byte* const memory = device->allocate(64);
+            device->upload(1, memory, staging, 64);
+            EXPECT_NO_THROW(device->wait(1)) << seed;
+        }
+    }
 }
 
 TEST(CudaFailures, NoneGivesTheLists)
