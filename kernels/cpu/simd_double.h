@@ -44,7 +44,13 @@ struct SimdD {
     static I difference(I a, I b) { return _mm512_sub_epi64(a, b); }
     static I loadBits(const std::uint64_t* p) { return _mm512_loadu_si512(p); }
     static void storeBits(std::uint64_t* p, I v) { _mm512_storeu_si512(p, v); }
-    static std::uint64_t sum(I v) { return static_cast<std::uint64_t>(_mm512_reduce_add_epi64(v)); }
+    static std::uint64_t sum(I v) // _mm512_reduce_add_epi64() adds signed numbers, which must not wrap
+    {
+        const __m256i four = _mm256_add_epi64(_mm512_castsi512_si256(v), _mm512_extracti64x4_epi64(v, 1));
+        const __m128i two = _mm_add_epi64(_mm256_castsi256_si128(four), _mm256_extracti128_si256(four, 1));
+        return static_cast<std::uint64_t>(_mm_cvtsi128_si64(two)) +
+               static_cast<std::uint64_t>(_mm_extract_epi64(two, 1));
+    }
     static double greatest(D v) { return _mm512_reduce_max_pd(v); }
 };
 
