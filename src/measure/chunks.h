@@ -1,7 +1,8 @@
-// Passes over numbers of particles in parts that are asked whether to go on.
+// Passes over numbers of particles in parts that are asked whether to go on, with IEEE arithmetic whatever the host has set.
 #pragma once
 
 #include "util/cancel.h"
+#include "util/ieee_mode.h"
 
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
@@ -18,6 +19,7 @@ void forEachChunk(std::size_t count, const CancelCheck& cancel, F&& f)
 {
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, kMeasureChunk), [&](const auto& range) {
         cancel.check();
+        const IeeeMode mode;
         f(range.begin(), range.end());
     });
 }

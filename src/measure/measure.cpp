@@ -146,7 +146,8 @@ private:
         for (const std::string& name : averagedNames()) {
             for (const PointAttribute& attribute : mOptions.attributes) {
                 if (attribute.name == name)
-                    needed += attribute.count * attributeWidth(attribute.type) * sizeof(double);
+                    needed +=
+                        attribute.count * (attributeWidth(attribute.type) == 3 ? 4 : 1) * sizeof(double);
             }
         }
         const std::uint64_t allowed =
@@ -173,7 +174,6 @@ private:
         if (!mTargets->stretch) return;
         const ParticleView& view = mSets.queries();
         forEachChunk(view.size(), mCancel, [&](std::size_t begin, std::size_t end) {
-            const IeeeMode mode;
             for (std::size_t i = begin; i < end; ++i) {
                 const Vec3d world = view.worldPosition(i);
                 std::copy(world.begin(), world.end(), mTargets->pws + 3 * i);

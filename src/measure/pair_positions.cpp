@@ -2,6 +2,7 @@
 
 #include "points/pair_geometry.h"
 #include "points/particle_source.h"
+#include "util/ieee_mode.h"
 
 #include <Eigen/Dense>
 
@@ -83,6 +84,7 @@ double copyPositions(const ParticleSource& source, PositionRecord record, bool i
         tbb::blocked_range<std::size_t>(0, source.size(), 16 * kChunk), 0.0,
         [&](const auto& range, double largest) {
             cancel.check();
+            const IeeeMode mode;
             StoredPosition stored[kChunk];
             for (std::size_t i = range.begin(); i < range.end();) {
                 const std::size_t count = std::min(kChunk, range.end() - i);

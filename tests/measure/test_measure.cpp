@@ -182,6 +182,12 @@ TEST(Measure, SameBytesForAllThreadsAndCells)
 // Programs that render flush denormals, and some round in another direction.
 TEST(Measure, SameBytesWhateverTheHostSet)
 {
+    // Their mean is lost where denormal coordinates are taken for zeros.
+    std::vector<float> tiny;
+    for (int k = 0; k < 90; ++k) tiny.push_back(static_cast<float>(k) * 1e-41f);
+    const ParticleView tinyView = ParticleView::fromArray(tiny.data(), tiny.size() / 3);
+    const std::string tinyExpected = bytesOf(measure(tinyView, 1, {"pca"}));
+
     const PointSet set = arraySets(Precision::kFloat)[5];
     const std::vector<float> floats = floatsOf(set);
     const ParticleView view = ParticleView::fromArray(floats.data(), set.points.size());
@@ -190,17 +196,19 @@ TEST(Measure, SameBytesWhateverTheHostSet)
     const std::string expected = measured(view, set.radius, values, {});
     constexpr unsigned kFlush = 0x8040, kRoundUp = 0x4000;
     for (const unsigned mode : {kFlush, kRoundUp, kFlush | kRoundUp}) {
+        const unsigned before = _mm_getcsr();
+        _mm_setcsr(before | mode);
+        const unsigned host = _mm_getcsr() & 0xffc0u;
+        // An arena runs its tasks with what was set when it was made.
         tbb::task_arena arena(1);
         arena.execute([&] {
-            const unsigned before = _mm_getcsr();
-            _mm_setcsr(before | mode);
-            const unsigned set_ = _mm_getcsr() & 0xffc0u;
             const std::string bytes = measured(view, set.radius, values, {});
-            const unsigned after = _mm_getcsr() & 0xffc0u;
-            _mm_setcsr(before);
+            const std::string tinyBytes = bytesOf(measure(tinyView, 1, {"pca"}));
+            EXPECT_EQ(_mm_getcsr() & 0xffc0u, host);
             EXPECT_TRUE(bytes == expected) << mode;
-            EXPECT_EQ(after, set_);
+            EXPECT_TRUE(tinyBytes == tinyExpected) << mode;
         });
+        _mm_setcsr(before);
     }
 }
 
