@@ -20,8 +20,10 @@ constexpr std::uint64_t kNpzWriter = 52 * kMiB;
 // What a thread of streamNpz() collects: enough for writes of many rows; more than the largest need not be, and
 // without a bound not more than usual.
 constexpr std::uint64_t kLeastBuffer = 1 * kMiB, kUsualBuffer = 64 * kMiB, kLargestBuffer = 256 * kMiB;
-// OpenVDB's writer; and the counts and the attribute, for each particle.
-constexpr std::uint64_t kVdbWriter = 16 * kMiB, kVdbWriterPerPoint = 8;
+// OpenVDB's writer; and for each particle the counts, and a copy of the attributes: of the counts, if there are no others.
+constexpr std::uint64_t kVdbWriter = 16 * kMiB, kCountsWritten = 4, kFewestAttributes = 4;
+// Positions of a particle as measures read them.
+constexpr std::uint64_t kMeasuredPosition = 32;
 // What a thread makes of rows on several lattices before they are joined.
 constexpr std::uint64_t kLayeredBytes = LayeredRows::kMostBytes;
 // The tasks of a search, for each leaf; and for each the start of its mask rows, once more while they are ordered.
@@ -40,10 +42,12 @@ std::uint64_t difference(std::uint64_t from, std::uint64_t bytes)
 
 } // namespace
 
-HostBudget::HostBudget(std::uint64_t boundBytes, int threads, const WrittenKinds& written)
+HostBudget::HostBudget(std::uint64_t boundBytes, int threads, const WrittenKinds& written,
+                       std::uint64_t measureBytes)
     : mBoundBytes(boundBytes),
       mThreads(static_cast<std::uint64_t>(threads)),
       mWritten(written),
+      mMeasureBytes(measureBytes),
       mReserveBytes(kArrayReserve + mThreads * kThreadReserve)
 {
     if (isBounded()) returnFreedMemory();
@@ -75,7 +79,9 @@ std::uint64_t HostBudget::writerBytes(std::uint64_t points, Encoding encoding) c
 {
     const std::uint64_t npz =
         encoding == Encoding::kNone ? kPlaceBytes * points + mThreads * kLeastBuffer : kNpzWriter;
-    return std::max(mWritten.npz ? npz : 0, mWritten.vdb ? kVdbWriter + kVdbWriterPerPoint * points : 0);
+    const std::uint64_t vdb =
+        kVdbWriter + (kCountsWritten + std::max(kFewestAttributes, mMeasureBytes)) * points;
+    return std::max(mWritten.npz ? npz : 0, mWritten.vdb ? vdb : 0);
 }
 
 std::uint64_t HostBudget::layeredBytes(const SearchSets& sets) const
@@ -88,6 +94,9 @@ std::uint64_t HostBudget::listBytes(const SearchSets& sets, Encoding encoding) c
     const std::uint64_t points = sets.rowCount(), leaves = sets.leafCount();
     std::uint64_t beside =
         kNumberBytes * points + kTaskBytes * leaves + writerBytes(points, encoding) + layeredBytes(sets);
+    // Measures that are made in the pass that counts have their own look at what is left.
+    if (mMeasureBytes > 0 && encoding != Encoding::kNone)
+        beside += (mMeasureBytes + kMeasuredPosition) * points;
     if (encoding == Encoding::kMask) {
         beside += kMaskTaskBytes * leaves + kMaskCellBytes * (sets.cellCount() + leaves);
     }
@@ -99,6 +108,12 @@ std::uint64_t HostBudget::listBytes(const SearchSets& sets, Encoding encoding) c
                             needed, mFreeBytes);
     }
     return std::max<std::uint64_t>(1, difference(mFreeBytes, beside)); // 0 would be no bound
+}
+
+std::uint64_t HostBudget::measureBytes(const SearchSets& sets, std::uint64_t heldBytes) const
+{
+    if (!isBounded()) return 0;
+    return std::max<std::uint64_t>(1, difference(listBytes(sets, Encoding::kNone), heldBytes));
 }
 
 std::uint64_t HostBudget::windowBytes(const SearchSets& sets) const
@@ -113,7 +128,7 @@ std::uint64_t HostBudget::bufferBytes(const SearchSets& sets) const
 {
     const std::uint64_t points = sets.rowCount();
     const std::uint64_t held = sets.bytes() + (kNumberBytes + kCountBytes + kPlaceBytes) * points +
-                               kTaskBytes * sets.leafCount() + layeredBytes(sets);
+                               kTaskBytes * sets.leafCount() + layeredBytes(sets) + mMeasureBytes * points;
     return std::clamp(difference(mFreeBytes, held), mThreads * kLeastBuffer,
                       mThreads * (isBounded() ? kLargestBuffer : kUsualBuffer));
 }

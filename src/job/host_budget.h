@@ -13,7 +13,9 @@ namespace vdb_nns {
 class HostBudget {
 public:
     // `boundBytes` 0: no bound, so that only lists and writers are held against what is free once the grid is made.
-    HostBudget(std::uint64_t boundBytes, int threads, const WrittenKinds& written);
+    // `measureBytes`: of a point, of the measures that are made besides; 0 without any.
+    HostBudget(std::uint64_t boundBytes, int threads, const WrittenKinds& written,
+               std::uint64_t measureBytes);
 
     bool isBounded() const { return mBoundBytes > 0; }
 
@@ -29,6 +31,9 @@ public:
     // SearchOptions::hostMemoryBytes while lists are made. Throws CapacityError for counts that do not fit; of other lists the
     // search itself finds that out.
     std::uint64_t listBytes(const SearchSets& sets, Encoding encoding) const;
+
+    // SearchOptions::hostMemoryBytes while measures are made, beside lists that are held.
+    std::uint64_t measureBytes(const SearchSets& sets, std::uint64_t heldBytes) const;
 
     // What rows may take that wait for others to be written (searchToNpz()); 0 where the counts do not fit.
     std::uint64_t windowBytes(const SearchSets& sets) const;
@@ -54,6 +59,7 @@ private:
 
     std::uint64_t mBoundBytes, mThreads;
     WrittenKinds mWritten;
+    std::uint64_t mMeasureBytes;
     std::uint64_t mUsedBytes = 0, mReserveBytes = 0, mFreeBytes = 0;
     bool mHasGrid = false;
 };

@@ -5,6 +5,8 @@
 #include "grid/search_sets_data.h"
 #include "io/npz_search.h"
 #include "job/host_budget.h"
+#include "measure/measure_list.h"
+#include "measure/results.h"
 #include "search/engine_state.h"
 #include "search/sample_rows.h"
 #include "util/isolate.h"
@@ -77,7 +79,8 @@ public:
     Job(SearchEngine& engine, EngineState& state, const JobOptions& options, JobReport& report)
         : mEngine(engine),
           mState(state),
-          mBudget(options.search.hostMemoryBytes, tbb::this_task_arena::max_concurrency(), options.written),
+          mBudget(options.search.hostMemoryBytes, tbb::this_task_arena::max_concurrency(), options.written,
+                  MeasureResults::bytesEach(measuresOf(options.measures), options.measure)),
           mReport(report)
     {
         JobOptions settled = options; // which may be those of the report
@@ -96,7 +99,7 @@ public:
             const double start = wallSeconds(), gridSeconds = mReport.gridSeconds;
             mBudget.beginLists(sets, reusableBytes());
             const NeighborLists lists = searchAndWrite(std::move(sets), makeSets);
-            measureApart(lists.sets());
+            measureApart(lists);
             const double otherSeconds =
                 mPlanningSeconds + mReport.gridSeconds - gridSeconds + mReport.measureSeconds.value_or(0);
             mReport.searchSeconds = wallSeconds() - start - otherSeconds - mReport.writeSeconds;
@@ -156,12 +159,13 @@ private:
         return search(std::move(sets), makeSets);
     }
 
-    Measured measure(const SearchSets& sets)
+    // `heldBytes`: of lists.
+    Measured measure(const SearchSets& sets, std::uint64_t heldBytes)
     {
         MeasureOptions options = mReport.settled.measure;
         options.search = mReport.settled.search;
         options.search.radius = 0; // the sets are within it
-        options.search.hostMemoryBytes = mBudget.isBounded() ? mBudget.listBytes(sets, Encoding::kNone) : 0;
+        options.search.hostMemoryBytes = mBudget.measureBytes(sets, heldBytes);
         Measured measured = mEngine.measure(sets, mReport.settled.measures, options);
         mReport.measured = std::move(measured.values);
         mReport.measureSkipped = std::move(measured.skipped);
@@ -170,11 +174,11 @@ private:
     }
 
     // In a pass of its own, if the one that counted did not make the measures.
-    void measureApart(const SearchSets& sets)
+    void measureApart(const NeighborLists& lists)
     {
         if (mHasMeasured || mReport.settled.measures.empty()) return;
         const double start = wallSeconds();
-        measure(sets);
+        measure(lists.sets(), lists.bytes());
         mReport.measureSeconds = wallSeconds() - start;
     }
 
@@ -188,7 +192,7 @@ private:
                 SearchOptions search = options.search;
                 search.hostMemoryBytes = mBudget.listBytes(sets, search.encoding);
                 const bool isCounted = search.encoding == Encoding::kNone && options.device.devices.empty();
-                if (isCounted && !options.measures.empty()) return measure(sets).counts;
+                if (isCounted && !options.measures.empty()) return measure(sets, 0).counts;
                 if (options.device.devices.empty()) return mEngine.search(sets, search);
                 return searchOnDevices(gridOf(sets), search);
             } catch (const CapacityError& error) {

@@ -226,6 +226,11 @@ private:
             clusters->finish(*mTargets, mSets.rowCount(), mCancel,
                              [&](std::size_t i) { return lists.slotOf[i] != kNoSlot || isFinite(i); });
         }
+        // Under a bound the memory is better spent on what is written.
+        for (int k = 0; k < 2 && mSearch.hostMemoryBytes > 0; ++k) {
+            mState.positions[k] = PageArray<char>();
+            mState.clusters[k] = PageArray<char>();
+        }
         mState.statistics.searchSeconds = wallSeconds() - start;
         return NeighborLists(result);
     }

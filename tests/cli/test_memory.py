@@ -10,7 +10,7 @@ import unittest.mock
 import numpy as np
 
 import cli_case
-from cli_case import CliCase, limit_address_space, limit_file_size
+from cli_case import CliCase, limit_address_space, limit_file_size, run
 
 MB = 10 ** 6
 
@@ -158,6 +158,28 @@ class Bound(CliCase):
         counts = [self.report("info", self.path(name))["attributes"] for name in ("free.vdb", "bounded.vdb")]
         self.assertEqual(counts[0], counts[1])
         self.assertEqual(os.path.getsize(self.path("free.vdb")), os.path.getsize(self.path("bounded.vdb")))
+
+    def test_measures(self):
+        """Results of measures and the copy that a .vdb takes of them count: the run stays within the bound, or says what it needs."""
+        path = self.scene("block", 500000)
+        free, done = self.path("free.vdb"), 0
+        self.succeeds("search", path, "--attributes", "density,pca", "-o", free, "-q")
+        for output in (["-o", self.path("bounded.vdb")], ["--attributes-output", self.path("bounded.npz")],
+                       ["-o", self.path("bounded.vdb"), "-o", self.path("lists.npz")]):
+            for megabytes in (120, 150, 180, 210, 240):
+                with self.subTest(output=output, megabytes=megabytes):
+                    args = ["search", path, "--attributes", "density,pca", *output, "-f", "--host-memory", f"{megabytes}MB", "-T", "2"]
+                    result = run(*args, "-q", "--json", self.path("report.json"))
+                    self.assertIn(result.code, (0, 4), result.err)
+                    if result.code == 4:
+                        self.assertIn("host memory", result.err)
+                        continue
+                    done += 1
+                    with open(self.path("report.json")) as file:
+                        self.assertLessEqual(json.load(file)["memory"]["peak_rss_bytes"], megabytes * MB)
+                    if output[0] == "-o":
+                        self.assertEqual(os.path.getsize(free), os.path.getsize(output[1]))
+        self.assertGreater(done, 3)
 
     def test_interrupted_by_a_full_disk(self):
         path = self.scene("block", 300000)

@@ -114,13 +114,13 @@ void checkOutputKinds(const SearchFlags& flags, SearchPlan& plan)
         }
         plan.job.written.npz |= extension == ".npz";
         if (extension != ".npz") plan.attributes.points.push_back(path);
+        plan.job.written.vdb |= extension == ".vdb";
         hasNewGrid |= extension == ".vdb" && extensionOf(rows) != ".vdb";
     }
     plan.attributes.arrays = flags.attributesOutput;
     if (!flags.attributesOutput.empty() && extensionOf(flags.attributesOutput) != ".npz")
         throw InvalidInput("--attributes-output: " + flags.attributesOutput +
                            " has another extension than .npz, the format of named arrays");
-    plan.job.written.vdb = plan.writesAttributes();
     if (!flags.voxelSize.empty()) {
         plan.voxelSize = parsePositive(flags.voxelSize, "--voxel-size");
         if (!hasNewGrid)
