@@ -8,20 +8,58 @@
 namespace vdb_nns {
 namespace {
 
-template <typename Target>
+// All numbers of a row.
+struct AllNumbers {
+    std::uint32_t* out;
+
+    AllNumbers(std::uint32_t* begin, const RowSink&, std::uint32_t) : out(begin) {}
+
+    // Writes a whole vector; the next one overwrites what is no hit.
+    void take(Simd::I numbers, Simd::I, Simd::Mask hits)
+    {
+        Simd::store(out, Simd::compress(numbers, Simd::order(hits)));
+        out += __builtin_popcount(hits);
+    }
+
+    // Returns how many neighbors there are.
+    static std::uint32_t note(RowSink& sink, std::uint32_t row, const AllNumbers&, std::uint32_t length)
+    {
+        return sink.rowCount[row] = length;
+    }
+};
+
+// Those that are smaller than the number of the query: of pairs that come both ways, each one once.
+struct SmallerNumbers {
+    std::uint32_t* out;
+    std::uint32_t count = 0; // of all
+    Simd::I query;
+
+    SmallerNumbers(std::uint32_t* begin, const RowSink& sink, std::uint32_t slot)
+        : out(begin), query(Simd::set(static_cast<std::int32_t>(sink.number[slot])))
+    {
+    }
+
+    void take(Simd::I numbers, Simd::I, Simd::Mask hits)
+    {
+        const Simd::Mask smaller = hits & Simd::equal(Simd::minUnsigned(numbers, query), numbers);
+        Simd::store(out, Simd::compress(numbers, Simd::order(smaller)));
+        out += __builtin_popcount(smaller);
+        count += static_cast<std::uint32_t>(__builtin_popcount(hits));
+    }
+
+    static std::uint32_t note(RowSink& sink, std::uint32_t row, const SmallerNumbers& made,
+                              std::uint32_t length)
+    {
+        sink.rowLength[row] = length;
+        return sink.rowCount[row] = made.count;
+    }
+};
+
+template <typename Target, typename RowType = AllNumbers>
 struct IndexRows {
     static constexpr bool kByCandidate = false;
 
-    struct Row {
-        std::uint32_t* out;
-
-        // Writes a whole vector; the next one overwrites what is no hit.
-        void take(Simd::I numbers, Simd::I, Simd::Mask hits)
-        {
-            Simd::store(out, Simd::compress(numbers, Simd::order(hits)));
-            out += __builtin_popcount(hits);
-        }
-    };
+    using Row = RowType;
 
     // The first row is made where the target wants it, the second beside it, and moved behind the first once that is complete.
     struct Group {
@@ -34,33 +72,35 @@ struct IndexRows {
         Group(IndexRows& indexRows, const Queries& queries, std::uint32_t tested)
             : rows(indexRows),
               slot(queries.slot),
-              most(tested + std::size_t(Simd::kLanes)),
+              most(tested + std::size_t(Simd::kLanes) + RowSink::kPad),
               secondBegin(indexRows.scratch.secondRow())
         {
         }
 
         void begin(int count) { firstBegin = rows.target.reserve(count * most); }
-        Row first() const { return {firstBegin}; }
-        Row second() const { return {secondBegin}; }
+        Row first() const { return Row(firstBegin, rows.sink, slot); }
+        Row second() const { return Row(secondBegin, rows.sink, slot + 1); }
 
         std::uint32_t end(Row row)
         {
             const auto count = static_cast<std::uint32_t>(row.out - firstBegin);
-            rows.note(slot++, rows.target.commit(count), count);
-            return count;
+            const std::uint32_t* const next = rows.target.endOf(firstBegin, count);
+            return rows.note(slot++, rows.target.commit(static_cast<std::size_t>(next - firstBegin)), row,
+                             count);
         }
 
         std::uint32_t endPair(Row a, Row b)
         {
             const auto countA = static_cast<std::uint32_t>(a.out - firstBegin);
             const auto countB = static_cast<std::uint32_t>(b.out - secondBegin);
+            std::uint32_t* const second = rows.target.endOf(firstBegin, countA);
             for (std::size_t k = 0; k < countB; k += Simd::kLanes) {
-                Simd::store(a.out + k, Simd::load(secondBegin + k));
+                Simd::store(second + k, Simd::load(secondBegin + k));
             }
-            std::uint32_t* const row = rows.target.commit(countA + countB);
-            rows.note(slot++, row, countA);
-            rows.note(slot++, row + countA, countB);
-            return countA + countB;
+            const std::uint32_t* const next = rows.target.endOf(second, countB);
+            std::uint32_t* const row = rows.target.commit(static_cast<std::size_t>(next - firstBegin));
+            const std::uint32_t pairs = rows.note(slot++, row, a, countA);
+            return pairs + rows.note(slot++, row + (second - firstBegin), b, countB);
         }
 
         void finish() {}
@@ -73,11 +113,11 @@ struct IndexRows {
 
     void finish() { target.finish(); }
 
-    void note(std::uint32_t slot, std::uint32_t* row, std::uint32_t count)
+    std::uint32_t note(std::uint32_t slot, std::uint32_t* begin, const Row& row, std::uint32_t length)
     {
-        sink.rowBegin[slot - sink.slotBase] = row;
-        sink.rowCount[slot - sink.slotBase] = count;
+        sink.rowBegin[slot - sink.slotBase] = begin;
         sink.nextSlot = slot + 1;
+        return Row::note(sink, slot - sink.slotBase, row, length);
     }
 
     HaloScratch& scratch;

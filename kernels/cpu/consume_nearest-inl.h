@@ -200,7 +200,7 @@ struct NearestRows {
             const std::uint32_t self = rows.context.sets.addsSelf && keepSelf(query, begin, found);
             const std::uint32_t nearest = rows.context.sets.nearest;
             const std::uint32_t count = found - self > nearest ? nearest + self : found;
-            std::uint32_t* const out = rows.target.reserve(count + Simd::kLanes);
+            std::uint32_t* const out = rows.target.reserve(count + Simd::kLanes + RowSink::kPad);
             if (found > count) {
                 rows.cut.cut(query, begin.numbers, begin.scores, found, count, out);
                 ++rows.statistics.shortened;
@@ -209,7 +209,8 @@ struct NearestRows {
                     Simd::store(out + k, Simd::load(begin.numbers + k));
                 }
             }
-            rows.note(slot++, rows.target.commit(count), count);
+            const std::uint32_t* const next = rows.target.endOf(out, count);
+            rows.note(slot++, rows.target.commit(static_cast<std::size_t>(next - out)), count);
             return count;
         }
 

@@ -55,7 +55,9 @@ struct RowKernels {
     SearchTaskFunction
         index; // rows of numbers, past the caches; the last ones of a thread wait in RowSink::tail
     SearchTaskFunction visit; // rows of numbers, to be read at once
-    SearchTaskFunction mask;  // rows of membership bits; null if rows are cut to the nearest
+    SearchTaskFunction
+        smaller;             // the same, of numbers smaller than the query's; null where pairs may go one way
+    SearchTaskFunction mask; // rows of membership bits; null if rows are cut to the nearest
     SearchTaskFunction count; // counts alone; of rows that are cut too, all neighbors
 };
 

@@ -86,20 +86,16 @@ VDB_NNS_INLINE EightVectors eightVectors(const DoublePosition* records, const st
     return v;
 }
 
-VDB_NNS_INLINE __m256i topBits(__m256i packed, int axis)
+// Voxels of eight records less that of the query.
+VDB_NNS_INLINE EightVectors voxelDifferences(const VoxelPosition9& query, __m256i packed)
 {
-    return _mm256_and_si256(_mm256_slli_epi32(packed, 10 * axis),
-                            _mm256_set1_epi32(static_cast<int>(0xffc00000u)));
-}
-
-// Voxels of eight records less that of the query: ten bits at the top wrap as the difference does.
-VDB_NNS_INLINE EightVectors voxelDifferences(const VoxelPosition10& query, __m256i packed)
-{
+    using V = VoxelPosition9;
     EightVectors v;
-    const __m256i from = _mm256_set1_epi32(static_cast<int>(query.voxel));
-    for (int k = 0; k < 3; ++k) {
-        v.axis[k] = doublesOf(_mm256_srai_epi32(_mm256_sub_epi32(topBits(packed, k), topBits(from, k)), 22));
-    }
+    const __m256i from = _mm256_set1_epi32(static_cast<int>(query.voxel - V::kBorrow));
+    const __m256i difference = _mm256_sub_epi32(packed, from);
+    for (int k = 0; k < 3; ++k)
+        v.axis[k] =
+            doublesOf(_mm256_srai_epi32(_mm256_slli_epi32(difference, V::kNextAxis * k), 32 - V::kBits));
     return v;
 }
 
@@ -168,7 +164,7 @@ VDB_NNS_INLINE EightVectors eightDifferences(const DoublePosition& query, const 
     return less(eightVectors(records, n), from);
 }
 
-VDB_NNS_INLINE EightVectors eightDifferences(const VoxelPosition10& query, const VoxelPosition10* records,
+VDB_NNS_INLINE EightVectors eightDifferences(const VoxelPosition9& query, const VoxelPosition9* records,
                                              const std::uint32_t* n)
 {
     const double from[3] = {static_cast<double>(query.x), static_cast<double>(query.y),
@@ -178,12 +174,9 @@ VDB_NNS_INLINE EightVectors eightDifferences(const VoxelPosition10& query, const
     const EightVectors offsets = less({{doublesOf(f.x), doublesOf(f.y), doublesOf(f.z)}}, from);
     return sumOf(voxelDifferences(query, _mm256_castps_si256(f.w)), offsets);
 #else
-    constexpr std::uint32_t kTop = 0xffc00000u;
     const EightVectors voxels = eightBy([&](std::size_t k, double(&d)[3]) {
-        for (int c = 0; c < 3; ++c) {
-            const std::uint32_t top = (records[n[k]].voxel << 10 * c & kTop) - (query.voxel << 10 * c & kTop);
-            d[c] = static_cast<double>(static_cast<std::int32_t>(top) >> 22);
-        }
+        const std::uint32_t difference = records[n[k]].voxel + VoxelPosition9::kBorrow - query.voxel;
+        for (int c = 0; c < 3; ++c) d[c] = VoxelPosition9::axisOf(difference, c);
     });
     return sumOf(voxels, less(eightVectors(records, n), from));
 #endif
@@ -220,16 +213,16 @@ VDB_NNS_INLINE void storeEight(double* to, const EightDoubles& v)
 }
 
 template <typename Record, PairMap::Kind kKind, bool kVectors>
-void makePairs(const PairGroups& groups, const Record* records, const PairMap& map, double* x, double* y,
-               double* z, double* distance)
+void makePairs(const PairGroups& groups, const Record* queries, const Record* records, const PairMap& map,
+               double* x, double* y, double* z, double* square)
 {
     using S = SimdD;
     for (std::size_t g = 0; g < groups.groups; ++g) {
-        const Record& query = *static_cast<const Record*>(groups.query[groups.row[g]]);
+        const Record& query = queries[groups.query[groups.row[g]]];
         const std::size_t k = g * kGroup;
         const EightVectors d = eightDifferences(query, records, groups.numbers + k);
         EightVectors w = d;
-        EightDoubles length;
+        EightDoubles squares;
         for (int p = 0; p < kParts; ++p) {
             for (int r = 0; r < 3; ++r) {
                 S::D& to = w.axis[r].part[p];
@@ -241,42 +234,49 @@ void makePairs(const PairGroups& groups, const Record* records, const PairMap& m
                 }
             }
             const S::D wx = w.axis[0].part[p], wy = w.axis[1].part[p], wz = w.axis[2].part[p];
-            length.part[p] = S::sqrt(S::add(S::add(S::mul(wx, wx), S::mul(wy, wy)), S::mul(wz, wz)));
+            squares.part[p] = S::add(S::add(S::mul(wx, wx), S::mul(wy, wy)), S::mul(wz, wz));
         }
         if (kVectors) {
             storeEight(x + k, w.axis[0]);
             storeEight(y + k, w.axis[1]);
             storeEight(z + k, w.axis[2]);
         }
-        storeEight(distance + k, length);
+        storeEight(square + k, squares);
     }
 }
 
 template <typename Record, PairMap::Kind kKind>
-void makePairsOf(const PairGroups& groups, const Record* records, const PairMap& map, double* x, double* y,
-                 double* z, double* distance)
+void makePairsOf(const PairGroups& groups, const Record* queries, const Record* records, const PairMap& map,
+                 double* x, double* y, double* z, double* square)
 {
     if (x) {
-        makePairs<Record, kKind, true>(groups, records, map, x, y, z, distance);
+        makePairs<Record, kKind, true>(groups, queries, records, map, x, y, z, square);
     } else {
-        makePairs<Record, kKind, false>(groups, records, map, x, y, z, distance);
+        makePairs<Record, kKind, false>(groups, queries, records, map, x, y, z, square);
     }
 }
 
 template <typename Record>
-void pairs(const PairGroups& groups, const void* candidates, const PairMap& map, double* x, double* y,
-           double* z, double* distance)
+void pairs(const PairGroups& groups, const void* queries, const void* candidates, const PairMap& map,
+           double* x, double* y, double* z, double* square)
 {
     using Kind = PairMap::Kind;
-    const Record* const records = static_cast<const Record*>(candidates);
+    const Record* const from = static_cast<const Record*>(queries);
+    const Record* const to = static_cast<const Record*>(candidates);
     switch (map.kind) {
     case Kind::kIdentity:
-        return makePairsOf<Record, Kind::kIdentity>(groups, records, map, x, y, z, distance);
+        return makePairsOf<Record, Kind::kIdentity>(groups, from, to, map, x, y, z, square);
     case Kind::kDiagonal:
-        return makePairsOf<Record, Kind::kDiagonal>(groups, records, map, x, y, z, distance);
+        return makePairsOf<Record, Kind::kDiagonal>(groups, from, to, map, x, y, z, square);
     case Kind::kGeneral:
-        return makePairsOf<Record, Kind::kGeneral>(groups, records, map, x, y, z, distance);
+        return makePairsOf<Record, Kind::kGeneral>(groups, from, to, map, x, y, z, square);
     }
+}
+
+inline void roots(const PairGroups& groups, double* square)
+{
+    for (std::size_t k = 0; k < groups.groups * kGroup; k += SimdD::kLanes)
+        SimdD::store(square + k, SimdD::sqrt(SimdD::load(square + k)));
 }
 
 template <typename Record>

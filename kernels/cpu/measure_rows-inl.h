@@ -9,9 +9,10 @@ namespace vdb_nns {
 namespace {
 
 constexpr MeasureKernels kMeasureKernels = {
-    {pairs<FloatPosition>, pairs<DoublePosition>, pairs<VoxelPosition10>, pairs<WideVoxelPosition>},
+    {pairs<FloatPosition>, pairs<DoublePosition>, pairs<VoxelPosition9>, pairs<WideVoxelPosition>},
     {vectors<FloatPosition>, vectors<DoublePosition>},
     {scalars<float>, scalars<double>},
+    roots,
     weights,
     scales,
     sums,

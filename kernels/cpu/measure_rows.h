@@ -24,7 +24,7 @@ constexpr std::size_t kPairPad = 8; // the most lanes that a vector of doubles h
 enum class PositionRecord : std::uint8_t {
     kFloats,    // FloatPosition
     kDoubles,   // DoublePosition
-    kVoxels,    // VoxelPosition10
+    kVoxels,    // VoxelPosition9
     kWideVoxels // WideVoxelPosition
 };
 constexpr int kPositionRecords = 4;
@@ -35,15 +35,23 @@ struct FloatPosition {
 struct DoublePosition {
     double x, y, z, zero;
 };
-// A voxel modulo 1024 and the offset in it. The difference of two voxels is between -512 and 511.
-struct VoxelPosition10 {
+// A voxel modulo 512 and the offset in it. The difference of two voxels is between -256 and 255. All three axes are subtracted at once:
+// below x and y there is a bit that the next axis may borrow.
+struct VoxelPosition9 {
     float x, y, z;
-    std::uint32_t voxel; // x << 22 | y << 12 | z << 2
+    std::uint32_t voxel; // x << 23 | y << 13 | z << 3
 
+    static constexpr int kBits = 9, kNextAxis = 10;
+    static constexpr std::uint32_t kBorrow = 1u << 22 | 1u << 12;
     static std::uint32_t pack(std::int64_t x, std::int64_t y, std::int64_t z)
     {
-        return static_cast<std::uint32_t>(x & 1023) << 22 | static_cast<std::uint32_t>(y & 1023) << 12 |
-               static_cast<std::uint32_t>(z & 1023) << 2;
+        return static_cast<std::uint32_t>(x & 511) << 23 | static_cast<std::uint32_t>(y & 511) << 13 |
+               static_cast<std::uint32_t>(z & 511) << 3;
+    }
+    // Of the voxel along an axis, from a candidate's voxel with kBorrow less that of a query.
+    static std::int32_t axisOf(std::uint32_t difference, int axis)
+    {
+        return static_cast<std::int32_t>(difference << kNextAxis * axis) >> (32 - kBits);
     }
 };
 struct WideVoxelPosition {
@@ -65,13 +73,17 @@ struct PairGroups {
     const std::uint32_t* row;        // of each group
     const std::uint32_t* pairs;      // of each group, 1 to kGroup
     const std::uint32_t* firstGroup; // of each row, and the end
-    const void* const* query;        // of each row: its position
+    const std::uint32_t* query;      // of each row: its number
 };
 
 // For each pair candidate less query, the voxel difference, exact, plus the difference of the offsets in double, then the map; and
-// the distance, sqrt((x x + y y) + z z). Vectors are not written where `x` is null.
-using PairsFunction = void (*)(const PairGroups& groups, const void* candidates, const PairMap& map,
-                               double* x, double* y, double* z, double* distance);
+// the square of the distance, (x x + y y) + z z. Vectors are not written where `x` is null. Positions are by number.
+using PairsFunction = void (*)(const PairGroups& groups, const void* queries, const void* candidates,
+                               const PairMap& map, double* x, double* y, double* z, double* square);
+
+// Distances in place of their squares. Apart from what makes the squares: the roots would wait for those, and little else fits into
+// the processor's window meanwhile.
+using RootsFunction = void (*)(const PairGroups& groups, double* square);
 
 // Vectors of the candidates, from FloatPosition or DoublePosition.
 using VectorsFunction = void (*)(const PairGroups& groups, const void* values, double* x, double* y,
@@ -82,9 +94,11 @@ using ScalarsFunction = void (*)(const PairGroups& groups, const void* values, d
 // Weights by q = min(distance / radius, 1), 1 at 0: SmoothingKernel without its constant, and that of points::pca.
 enum class PairWeight : std::uint8_t { kCubic, kWendland2, kPoly6, kTophat, kPca };
 
-// `inverse`: of the radius of each pair; where `inverseStep` is 0, of all.
-using WeightsFunction = void (*)(PairWeight weight, const PairGroups& groups, const double* distance,
-                                 const double* inverse, std::size_t inverseStep, double* out);
+// `inverse`: of the radius of each pair; where `inverseStep` is 0, of all. `areSquares`: distances are given by their squares, and
+// come in their place.
+using WeightsFunction = void (*)(PairWeight weight, const PairGroups& groups, double* distance,
+                                 bool areSquares, const double* inverse, std::size_t inverseStep,
+                                 double* out);
 
 // What a row's sums are made with: powers of two. Infinite terms have no scale: `scale` is 0, and `inverse` infinite.
 struct RowScale {
@@ -120,6 +134,7 @@ struct MeasureKernels {
     PairsFunction pairs[kPositionRecords];
     VectorsFunction vectors[2]; // of floats, of doubles
     ScalarsFunction scalars[2];
+    RootsFunction roots;
     WeightsFunction weights;
     ScalesFunction scales;
     SumsFunction sums;

@@ -44,8 +44,8 @@ struct PairMasks {
 };
 alignas(64) constexpr PairMasks kPairMasks;
 
-template <PairWeight kWeight>
-void weigh(const PairGroups& groups, const double* distance, const double* inverse, std::size_t inverseStep,
+template <PairWeight kWeight, bool kSquares>
+void weigh(const PairGroups& groups, double* distance, const double* inverse, std::size_t inverseStep,
            double* out)
 {
     using S = SimdD;
@@ -55,26 +55,42 @@ void weigh(const PairGroups& groups, const double* distance, const double* inver
         for (std::size_t lane = 0; lane < kGroup; lane += S::kLanes) {
             const std::size_t k = g * kGroup + lane;
             const S::D by = inverseStep == 0 ? first : S::load(inverse + k);
-            const S::D q = S::min(S::mul(S::load(distance + k), by), S::set(1));
+            S::D d = S::load(distance + k);
+            if (kSquares) {
+                d = S::sqrt(d);
+                S::store(distance + k, d);
+            }
+            const S::D q = S::min(S::mul(d, by), S::set(1));
             S::store(out + k, S::mul(weightOf<kWeight>(q), S::load(mask + lane)));
         }
     }
 }
 
-inline void weights(PairWeight weight, const PairGroups& groups, const double* distance,
-                    const double* inverse, std::size_t inverseStep, double* out)
+template <bool kSquares>
+void weightsOf(PairWeight weight, const PairGroups& groups, double* distance, const double* inverse,
+               std::size_t inverseStep, double* out)
 {
     switch (weight) {
     case PairWeight::kCubic:
-        return weigh<PairWeight::kCubic>(groups, distance, inverse, inverseStep, out);
+        return weigh<PairWeight::kCubic, kSquares>(groups, distance, inverse, inverseStep, out);
     case PairWeight::kWendland2:
-        return weigh<PairWeight::kWendland2>(groups, distance, inverse, inverseStep, out);
+        return weigh<PairWeight::kWendland2, kSquares>(groups, distance, inverse, inverseStep, out);
     case PairWeight::kPoly6:
-        return weigh<PairWeight::kPoly6>(groups, distance, inverse, inverseStep, out);
+        return weigh<PairWeight::kPoly6, kSquares>(groups, distance, inverse, inverseStep, out);
     case PairWeight::kTophat:
-        return weigh<PairWeight::kTophat>(groups, distance, inverse, inverseStep, out);
+        return weigh<PairWeight::kTophat, kSquares>(groups, distance, inverse, inverseStep, out);
     case PairWeight::kPca:
-        return weigh<PairWeight::kPca>(groups, distance, inverse, inverseStep, out);
+        return weigh<PairWeight::kPca, kSquares>(groups, distance, inverse, inverseStep, out);
+    }
+}
+
+inline void weights(PairWeight weight, const PairGroups& groups, double* distance, bool areSquares,
+                    const double* inverse, std::size_t inverseStep, double* out)
+{
+    if (areSquares) {
+        weightsOf<true>(weight, groups, distance, inverse, inverseStep, out);
+    } else {
+        weightsOf<false>(weight, groups, distance, inverse, inverseStep, out);
     }
 }
 

@@ -1,8 +1,9 @@
 // Where rows of numbers go (consume_index-inl.h): to the sink's memory, by way of the caches or past them. Knows the sink and
 // the order of rows, and nothing of tests. Internal linkage; see simd.h.
 //
-// A target: reserve(entries) says where the next rows are to be made, with room for so many; commit(count) takes what
-// stands there and returns where it will be read; finish() ends a task.
+// A target: reserve(entries) says where the next rows are to be made, with room for so many; endOf(row, count) is where the row behind
+// that one is to be made, up to kPad entries further; commit(entries) takes what stands there and returns where it will be read; finish()
+// ends a task.
 #pragma once
 
 #include "cpu/search_task.h"
@@ -21,11 +22,18 @@ struct DirectRows {
         return sink.out;
     }
 
-    // A row of `count` entries stands where reserve() said. Returns where it will be read.
-    std::uint32_t* commit(std::uint32_t count)
+    std::uint32_t* endOf(std::uint32_t* row, std::uint32_t count) const
     {
-        sink.out += count;
-        return sink.out - count;
+        if (!sink.isPadded || count == 0) return row + count;
+        const Simd::I last = Simd::set(static_cast<std::int32_t>(row[count - 1]));
+        for (std::size_t k = 0; k < RowSink::kPad; k += Simd::kLanes) Simd::store(row + count + k, last);
+        return row + (count + RowSink::kPad - 1) / RowSink::kPad * RowSink::kPad;
+    }
+
+    std::uint32_t* commit(std::size_t entries)
+    {
+        sink.out += entries;
+        return sink.out - entries;
     }
 
     void finish() {}
@@ -57,10 +65,12 @@ struct StreamedRows {
         return staging + staged;
     }
 
-    std::uint32_t* commit(std::uint32_t count)
+    std::uint32_t* endOf(std::uint32_t* row, std::uint32_t count) const { return row + count; }
+
+    std::uint32_t* commit(std::size_t entries)
     {
         std::uint32_t* const row = sink.out + staged;
-        staged += count;
+        staged += entries;
         if (staged >= kFlushAt) flush();
         return row;
     }

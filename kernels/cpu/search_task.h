@@ -60,6 +60,7 @@ struct ExactPredicate {
 // Where rows go. One for each thread.
 struct RowSink {
     static constexpr std::size_t kLine = 16; // entries of a cache line
+    static constexpr std::size_t kPad = 8;   // entries that padded rows have a multiple of
 
     std::uint32_t* out; // next free entry
     std::uint32_t* end;
@@ -68,7 +69,10 @@ struct RowSink {
     std::uint32_t slotBase;                           // slot of rowBegin[0] and rowCount[0]
     std::uint32_t** rowBegin;                         // index rows only
     std::uint32_t* rowCount;
-    std::uint32_t nextSlot;         // all rows of the task before it are done; index rows only
+    std::uint32_t* rowLength;    // numbers that a row has, where those are fewer than it counts
+    const std::uint32_t* number; // of queries by slot, where rows depend on it
+    std::uint32_t nextSlot;      // all rows of the task before it are done; index rows only
+    bool isPadded; // rows to be read at once: each is filled up to a multiple of kPad, with its last number
     const std::uint32_t* taskBegin; // mask rows only: set by the kernel
     std::uint32_t tail[kLine];      // streamed rows only: entries that belong at `out`
     std::uint32_t tailSize;

@@ -59,30 +59,28 @@ private:
     PageBlock mNearest;
 };
 
-// Takes the pairs of a pass.
+// Takes the pairs of a pass, each in at least one direction.
 class ClusterPairs {
 public:
     // Takes 4 bytes a particle of each of the two memories, which outlive it.
-    ClusterPairs(std::size_t particles, std::optional<CorePoints> cores, bool isSymmetric,
-                 PageArray<char> (&memory)[2])
-        : mComponents(particles, memory[0]),
-          mRankMemory(memory[1]),
-          mCores(std::move(cores)),
-          mIsSymmetric(isSymmetric)
+    ClusterPairs(std::size_t particles, std::optional<CorePoints> cores, PageArray<char> (&memory)[2])
+        : mComponents(particles, memory[0]), mRankMemory(memory[1]), mCores(std::move(cores))
     {
     }
 
+    // A row that is filled up as Components wants it.
     void add(std::uint32_t query, const std::uint32_t* neighbors, std::uint32_t count)
     {
-        // Where every pair comes both ways, one is enough.
-        const auto isFirst = [&](std::uint32_t j) { return !mIsSymmetric || j < query; };
         if (!mCores) {
-            mComponents.unite(query, neighbors, count, isFirst);
+            mComponents.uniteRow(query, neighbors, count);
         } else if (mCores->isCore(query)) {
-            mComponents.unite(query, neighbors, count,
-                              [&](std::uint32_t j) { return isFirst(j) && mCores->isCore(j); });
-            for (std::uint32_t k = 0; k < count && !mIsSymmetric; ++k) {
-                if (!mCores->isCore(neighbors[k])) mCores->offer(neighbors[k], query);
+            std::uint32_t root = query;
+            for (std::uint32_t k = 0; k < count; ++k) {
+                if (mCores->isCore(neighbors[k])) {
+                    root = mComponents.uniteKnown(root, neighbors[k]);
+                } else {
+                    mCores->offer(neighbors[k], query);
+                }
             }
         } else {
             for (std::uint32_t k = 0; k < count; ++k) {
@@ -156,7 +154,6 @@ private:
     Components mComponents;
     PageArray<char>& mRankMemory;
     std::optional<CorePoints> mCores;
-    bool mIsSymmetric;
 };
 
 } // namespace vdb_nns

@@ -15,28 +15,29 @@ public:
     // Each of so many numbers alone. Takes 4 bytes a number of `memory`, which outlives it.
     Components(std::size_t count, PageArray<char>& memory);
 
-    // Joins `a` with those numbers that are `wanted`; ones already known to be with it cost a look. Thread-safe.
-    template <typename Wanted>
-    void unite(std::uint32_t a, const std::uint32_t* with, std::uint32_t count, Wanted&& wanted)
+    // Joins `a` with a row of numbers that is filled up to a multiple of kRowPad with one of them. Thread-safe.
+    void uniteRow(std::uint32_t a, const std::uint32_t* with, std::uint32_t count)
     {
-        std::uint32_t k = 0;
-        while (k < count && !wanted(with[k])) ++k;
-        if (k == count) return;
-        std::uint32_t root = unite(a, with[k]);
+        if (count == 0) return;
+        std::uint32_t root = unite(a, with[0]);
         // Mostly all are together already: one loop without branches tells.
-        const auto isApart = [&](std::uint32_t b) {
-            return unsigned(wanted(b)) & unsigned(parent(b).load(std::memory_order_relaxed) != root);
-        };
-        unsigned areApart = 0;
-        for (std::uint32_t i = ++k; i < count; ++i) areApart |= isApart(with[i]);
-        if (areApart == 0) return;
-        for (; k < count; ++k) {
-            if (isApart(with[k])) root = unite(root, with[k]);
+        std::uint32_t apart = 0;
+        for (std::uint32_t k = 0; k < count; k += kRowPad) {
+            for (std::uint32_t i = 0; i < kRowPad; ++i) apart |= parentOf(with[k + i]) ^ root;
         }
+        for (std::uint32_t k = 0; k < count && apart != 0; ++k) {
+            if (parentOf(with[k]) != root) root = unite(root, with[k]);
+        }
+    }
+    static constexpr std::uint32_t kRowPad = 8;
+    // Joins a component, by its root as far as that is known, with `b`, and returns the root of both. Thread-safe.
+    std::uint32_t uniteKnown(std::uint32_t root, std::uint32_t b)
+    {
+        return parentOf(b) == root ? root : unite(root, b);
     }
     // Root of a component. Thread-safe.
     std::uint32_t find(std::uint32_t a);
-    bool isRoot(std::uint32_t a) { return parent(a).load(std::memory_order_relaxed) == a; }
+    bool isRoot(std::uint32_t a) { return parentOf(a) == a; }
 
 private:
     using Parent = std::atomic<std::uint32_t>;
@@ -45,6 +46,7 @@ private:
     // The root of the two components together.
     std::uint32_t unite(std::uint32_t a, std::uint32_t b);
     Parent& parent(std::uint32_t i) { return mParents[i]; }
+    std::uint32_t parentOf(std::uint32_t i) { return parent(i).load(std::memory_order_relaxed); }
 
     Parent* mParents;
 };

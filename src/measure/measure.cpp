@@ -76,12 +76,15 @@ public:
     {
     }
 
-    void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) override
+    void take(const VisitedRows& rows) override
     {
-        const std::uint32_t query = mRun.queries.number[slot];
-        mRowCount[slot] = count;
-        if (mWantsRows) mBatch.add(query, neighbors, count);
-        if (mClusters) mClusters->add(query, neighbors, count);
+        const std::uint32_t* const queries = &mRun.queries.number[rows.firstSlot];
+        std::copy_n(rows.counts, rows.rows, mRowCount + rows.firstSlot);
+        if (mWantsRows) mBatch.take(queries, rows);
+        if (!mClusters) return;
+        rows.forEach([&](std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) {
+            mClusters->add(mRun.queries.number[slot], neighbors, count);
+        });
     }
 
 private:
@@ -190,15 +193,14 @@ private:
             std::optional<CorePoints> cores;
             if (mOptions.minNeighbors)
                 cores.emplace(mEngine.search(mSets, mSearch), *mOptions.minNeighbors, mCancel);
-            clusters.emplace(mSets.rowCount(), std::move(cores), mSets.data().radius.isOne(),
-                             mState.clusters);
+            clusters.emplace(mSets.rowCount(), std::move(cores), mState.clusters);
         }
         std::vector<std::unique_ptr<AveragedValues>> values;
         const std::vector<AveragedAttribute> averaged = readAveraged(values, skipped);
         PairPositions positions;
         if (mTargets->wantsRows())
-            positions.read(mSets.queries(), mSets.candidates(), mSets.data().largestRadius, mCancel,
-                           mState.positions);
+            positions.read(mSets.queries(), mSets.candidates(), mSets.data().largestRadius,
+                           mSearch.hostMemoryBytes == 0, mCancel, mState.positions);
 
         const SearchRuns runs(mSets, mSearch);
         const std::shared_ptr<NeighborListsData> result = mState.beginLists(mSets, Encoding::kNone, mSearch);
@@ -210,15 +212,13 @@ private:
             mSets.data(), kernelsFor(mSearch.simd).measure, positions, mOptions, *mTargets, averaged, radius};
         tbb::enumerable_thread_specific<RowBatch> batches([&] { return RowBatch(measures); });
         runs.forEach([&](const SearchRun& run) {
-            visitTasks(mState, run, [&](const SearchRun& part, ThreadState&) {
+            const bool isHalfEnough = !mTargets->wantsRows() && run.kernels.smaller;
+            const RowKind kind = isHalfEnough ? RowKind::kSmaller : RowKind::kVisit;
+            visitTasks(mState, run, kind, [&](const SearchRun& part, ThreadState&) {
                 return PassCallback(part, batches.local(), mTargets->wantsRows(),
                                     clusters ? &*clusters : nullptr, result->rowCount.data() + part.firstRow);
             });
         });
-        for (RowBatch& batch : batches) {
-            const IeeeMode mode;
-            batch.flush();
-        }
         mState.finishLists(runs, pool, *result);
         mState.lists = result;
         if (clusters) {

@@ -11,6 +11,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace vdb_nns {
 
@@ -44,90 +45,187 @@ double voxelsApart(const ParticleSource& source, double radius)
     return radius * inverse.rowwise().norm().maxCoeff();
 }
 
-void copyPosition(const StoredPosition& p, PositionRecord record, const ParticleSource* world, char* out)
+float offset(const StoredPosition& p, int k)
 {
-    const auto offset = [&](int k) { return static_cast<float>(p.offset[k]); };
-    switch (record) {
-    case PositionRecord::kFloats:
-        *reinterpret_cast<FloatPosition*>(out) = {offset(0), offset(1), offset(2), 0};
-        break;
-    case PositionRecord::kDoubles: {
-        const Vec3d at = world ? worldOf(*world, p) : Vec3d{p.offset[0], p.offset[1], p.offset[2]};
-        *reinterpret_cast<DoublePosition*>(out) = {at[0], at[1], at[2], 0};
-        break;
-    }
-    case PositionRecord::kVoxels:
-        *reinterpret_cast<VoxelPosition10*>(out) = {
-            offset(0), offset(1), offset(2), VoxelPosition10::pack(p.voxel[0], p.voxel[1], p.voxel[2])};
-        break;
-    case PositionRecord::kWideVoxels: {
-        WideVoxelPosition& to = *reinterpret_cast<WideVoxelPosition*>(out);
-        to = {};
-        for (int k = 0; k < 3; ++k) {
-            to.voxel[k] = static_cast<std::int32_t>(p.voxel[k]);
-            to.offset[k] = offset(k);
-        }
-        break;
-    }
-    }
+    return static_cast<float>(p.offset[k]);
 }
 
-// Returns the largest magnitude of the finite offsets.
-double copyPositions(const ParticleSource& source, PositionRecord record, bool isWorld,
-                     const CancelCheck& cancel, PageArray<char>& out)
+// What is the same for all particles of a copy.
+struct CopyRule {
+    const ParticleSource& source;
+    bool isWorld;
+    Vec3d reference;
+};
+
+// Copies of positions, and what a chunk of them is found to have.
+struct FloatCopy {
+    using Record = FloatPosition;
+    void copy(const CopyRule&, const StoredPosition& p, Record& out)
+    {
+        out = {offset(p, 0), offset(p, 1), offset(p, 2), 0};
+    }
+    void join(const FloatCopy&) {}
+};
+
+struct DoubleCopy {
+    using Record = DoublePosition;
+    void copy(const CopyRule& rule, const StoredPosition& p, Record& out)
+    {
+        const Vec3d at =
+            rule.isWorld ? worldOf(rule.source, p) : Vec3d{p.offset[0], p.offset[1], p.offset[2]};
+        out = {at[0], at[1], at[2], 0};
+    }
+    void join(const DoubleCopy&) {}
+};
+
+struct LargestOffset {
+    double largest = 0; // magnitude of the finite offsets
+
+    void note(const StoredPosition& p)
+    {
+        for (const double x : p.offset) {
+            if (std::isfinite(x)) largest = std::max(largest, std::fabs(x));
+        }
+    }
+    void join(const LargestOffset& other) { largest = std::max(largest, other.largest); }
+};
+
+struct VoxelCopy : LargestOffset {
+    using Record = VoxelPosition9;
+    void copy(const CopyRule&, const StoredPosition& p, Record& out)
+    {
+        out = {offset(p, 0), offset(p, 1), offset(p, 2),
+               VoxelPosition9::pack(p.voxel[0], p.voxel[1], p.voxel[2])};
+        note(p);
+    }
+};
+
+struct WideVoxelCopy : LargestOffset {
+    using Record = WideVoxelPosition;
+    void copy(const CopyRule&, const StoredPosition& p, Record& out)
+    {
+        out = {};
+        for (int k = 0; k < 3; ++k) {
+            out.voxel[k] = static_cast<std::int32_t>(p.voxel[k]);
+            out.offset[k] = offset(p, k);
+        }
+    }
+};
+
+// Voxel and offset as one double. Of two such positions the difference, rounded once, is what the voxels' difference plus that of the
+// offsets rounds to: all offsets are multiples of 2^-39 below 2^12, so their difference is a double; voxels from the reference are below
+// 2^13, so each sum is one too. NaN where that does not hold: about one in 10^4 of random floats.
+struct WholeCopy {
+    using Record = DoublePosition;
+    std::uint64_t unknown = 0;
+
+    void copy(const CopyRule& rule, const StoredPosition& p, Record& out)
+    {
+        constexpr double kMostOffset = 4096, kMostVoxel = 8192;
+        constexpr double kRounding = 1.5 * 8192; // whose last bit is 2^-39
+        bool isKnown = true;
+        double at[3];
+        for (int k = 0; k < 3; ++k) {
+            const double voxel = static_cast<double>(p.voxel[k]) - rule.reference[k], by = p.offset[k];
+            isKnown = isKnown & (std::fabs(voxel) < kMostVoxel) & (std::fabs(by) < kMostOffset) &
+                      ((by + kRounding) - kRounding == by);
+            at[k] = voxel + by;
+        }
+        constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+        out = {isKnown ? at[0] : kNan, at[1], at[2], 0};
+        unknown += isKnown ? 0 : 1;
+    }
+    void join(const WholeCopy& other) { unknown += other.unknown; }
+};
+
+template <typename Copy>
+Copy copyPositions(const CopyRule& rule, const CancelCheck& cancel, PageArray<char>& out)
 {
+    using Record = typename Copy::Record;
     constexpr std::size_t kChunk = 256;
-    const std::size_t bytes = bytesOf(record);
-    out.resizeDiscarding(source.size() * bytes);
-    char* const data = out.data();
+    const ParticleSource& source = rule.source;
+    out.resizeDiscarding(source.size() * sizeof(Record));
+    Record* const records = reinterpret_cast<Record*>(out.data());
     return tbb::parallel_reduce(
-        tbb::blocked_range<std::size_t>(0, source.size(), 16 * kChunk), 0.0,
-        [&](const auto& range, double largest) {
+        tbb::blocked_range<std::size_t>(0, source.size(), 16 * kChunk), Copy(),
+        [&](const auto& range, Copy copy) {
             cancel.check();
             const IeeeMode mode;
             StoredPosition stored[kChunk];
             for (std::size_t i = range.begin(); i < range.end();) {
                 const std::size_t count = std::min(kChunk, range.end() - i);
                 source.readStored(i, count, stored);
-                for (std::size_t k = 0; k < count; ++k, ++i) {
-                    copyPosition(stored[k], record, isWorld ? &source : nullptr, data + bytes * i);
-                    for (const double offset : stored[k].offset) {
-                        if (std::isfinite(offset)) largest = std::max(largest, std::fabs(offset));
-                    }
-                }
+                for (std::size_t k = 0; k < count; ++k, ++i) copy.copy(rule, stored[k], records[i]);
             }
-            return largest;
+            return copy;
         },
-        [](double a, double b) { return std::max(a, b); });
+        [](Copy a, const Copy& b) {
+            a.join(b);
+            return a;
+        });
 }
 
 } // namespace
 
-void PairPositions::read(const ParticleView& queriesView, const ParticleView& candidatesView, double radius,
-                         const CancelCheck& cancel, PageArray<char> (&memory)[2])
+template <typename Copy>
+Copy PairPositions::copy(PositionRecord record, bool isWorld, const CancelCheck& cancel,
+                         PageArray<char> (&memory)[2])
 {
-    // A packed voxel has ten bits; what rounding adds is far below the voxels that are spared.
-    constexpr double kMostVoxels = 500;
-    const ParticleSource &queries = queriesView.source(), &candidates = candidatesView.source();
-    const bool isOne = &queries == &candidates, isAlike = haveSameCoordinates(queries, candidates);
-    mMap = mapOf(queries, !isAlike || queries.isArray());
-    const auto copy = [&](PositionRecord record) {
-        mRecord = record;
-        mRecordBytes = bytesOf(record);
-        const double ofCandidates = copyPositions(candidates, record, !isAlike, cancel, memory[0]);
-        mQueryData = mCandidateData = memory[0].data();
-        if (isOne) return 2 * ofCandidates;
-        const double ofQueries = copyPositions(queries, record, !isAlike, cancel, memory[1]);
-        mQueryData = memory[1].data();
-        return ofCandidates + ofQueries;
-    };
-    if (!isAlike || queries.isArray()) {
-        const bool areFloats = isAlike && queries.hasFloats() && candidates.hasFloats();
-        copy(areFloats ? PositionRecord::kFloats : PositionRecord::kDoubles);
-        return;
+    mRecord = record;
+    const Vec3d& reference = mCandidates->reference();
+    Copy copied = copyPositions<Copy>({*mCandidates, isWorld, reference}, cancel, memory[0]);
+    mQueryData = mCandidateData = memory[0].data();
+    if (mQueries == mCandidates) return copied;
+    copied.join(copyPositions<Copy>({*mQueries, isWorld, reference}, cancel, memory[1]));
+    mQueryData = memory[1].data();
+    return copied;
+}
+
+void PairPositions::read(const ParticleView& queries, const ParticleView& candidates, double radius,
+                         bool mayBeDoubles, const CancelCheck& cancel, PageArray<char> (&memory)[2])
+{
+    // A packed voxel has nine bits; what rounding adds is far below the voxels that are spared.
+    constexpr double kMostVoxels = 250;
+    constexpr std::uint64_t kLeastPerUnknown =
+        1000; // particles: looking an unknown one up takes a hundred times as long
+    mQueries = &queries.source();
+    mCandidates = &candidates.source();
+    mHasUnknown = false;
+    const bool isAlike = haveSameCoordinates(*mQueries, *mCandidates);
+    mMap = mapOf(*mQueries, !isAlike || mQueries->isArray());
+    if (!isAlike) {
+        copy<DoubleCopy>(PositionRecord::kDoubles, true, cancel, memory);
+    } else if (mQueries->isArray() && mQueries->hasFloats() && mCandidates->hasFloats()) {
+        copy<FloatCopy>(PositionRecord::kFloats, false, cancel, memory);
+    } else if (mQueries->isArray()) {
+        copy<DoubleCopy>(PositionRecord::kDoubles, false, cancel, memory);
+    } else {
+        if (mayBeDoubles) {
+            const std::uint64_t unknown =
+                copy<WholeCopy>(PositionRecord::kDoubles, false, cancel, memory).unknown;
+            mHasUnknown = unknown > 0;
+            if (unknown <= (mQueries->size() + mCandidates->size()) / kLeastPerUnknown) return;
+            mHasUnknown = false;
+        }
+        const double offsets = 2 * copy<VoxelCopy>(PositionRecord::kVoxels, false, cancel, memory).largest;
+        if (!(voxelsApart(*mQueries, radius) + offsets < kMostVoxels))
+            copy<WideVoxelCopy>(PositionRecord::kWideVoxels, false, cancel, memory);
     }
-    const double offsets = copy(PositionRecord::kVoxels);
-    if (!(voxelsApart(queries, radius) + offsets < kMostVoxels)) copy(PositionRecord::kWideVoxels);
+}
+
+Vec3d PairPositions::lookUp(std::uint32_t query, std::uint32_t candidate) const
+{
+    const StoredPosition from = mQueries->stored(query), to = mCandidates->stored(candidate);
+    Vec3d d, w;
+    for (std::size_t k = 0; k < 3; ++k)
+        d[k] = static_cast<double>(to.voxel[k] - from.voxel[k]) + (to.offset[k] - from.offset[k]);
+    if (mMap.kind == PairMap::Kind::kIdentity) return d;
+    for (std::size_t r = 0; r < 3; ++r) {
+        const double(&m)[3] = mMap.m[r];
+        w[r] =
+            mMap.kind == PairMap::Kind::kDiagonal ? m[r] * d[r] : (m[0] * d[0] + m[1] * d[1]) + m[2] * d[2];
+    }
+    return w;
 }
 
 std::uint64_t PairPositions::bytesFor(const ParticleView& queries, const ParticleView& candidates)

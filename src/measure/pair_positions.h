@@ -1,6 +1,6 @@
 // Positions of the two sets of a search as kernels of measures read them, by number: of the stored coordinates, so that distances
-// are those of PairDistance. 16 bytes a particle; 32 where coordinates are doubles, or where voxels that are a radius apart differ by
-// hundreds. Knows nothing of rows.
+// are those of PairDistance. 16 bytes a particle; 32 where coordinates are doubles, where those of a grid may be held as doubles, which
+// saves a third of the time, or where voxels that are a radius apart differ by hundreds. Knows nothing of rows.
 #pragma once
 
 #include "cpu/measure_rows.h"
@@ -13,24 +13,35 @@
 
 namespace vdb_nns {
 
+class ParticleSource;
+
 class PairPositions {
 public:
     // Copies the positions to `memory`, of candidates and queries; where both are the same, there is one copy. `radius`: the
-    // largest. The memory outlives it.
-    void read(const ParticleView& queries, const ParticleView& candidates, double radius,
+    // largest. `mayBeDoubles`: copies may have 32 bytes a particle. The memory and the views outlive it.
+    void read(const ParticleView& queries, const ParticleView& candidates, double radius, bool mayBeDoubles,
               const CancelCheck& cancel, PageArray<char> (&memory)[2]);
 
     PositionRecord record() const { return mRecord; }
     const PairMap& map() const { return mMap; }
-    const void* query(std::uint32_t number) const { return mQueryData + mRecordBytes * number; }
+    const void* queries() const { return mQueryData; }
     const void* candidates() const { return mCandidateData; }
 
-    // Of the copies that read() would make.
+    // Whether differences from some particles, or to them, come out as NaN: those are to be looked up.
+    bool hasUnknown() const { return mHasUnknown; }
+    // Candidate less query, with the map, from the stored positions.
+    Vec3d lookUp(std::uint32_t query, std::uint32_t candidate) const;
+
+    // Of the copies that read() would make, unless they may be doubles.
     static std::uint64_t bytesFor(const ParticleView& queries, const ParticleView& candidates);
 
 private:
+    template <typename Copy>
+    Copy copy(PositionRecord record, bool isWorld, const CancelCheck& cancel, PageArray<char> (&memory)[2]);
+
+    const ParticleSource *mQueries = nullptr, *mCandidates = nullptr;
+    bool mHasUnknown = false;
     PositionRecord mRecord = PositionRecord::kFloats;
-    std::size_t mRecordBytes = sizeof(FloatPosition);
     PairMap mMap{};
     const char* mQueryData = nullptr;
     const char* mCandidateData = nullptr;

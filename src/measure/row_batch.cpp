@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 
 namespace vdb_nns {
 
@@ -119,16 +118,6 @@ void putReal(AttributeType type, void* out, std::size_t at, double value)
     }
 }
 
-// With its contents.
-template <typename T>
-void growTo(PageArray<T>& array, std::size_t used, std::size_t size)
-{
-    PageArray<T> grown;
-    grown.resizeDiscarding(size);
-    if (used > 0) std::memcpy(grown.data(), array.data(), used * sizeof(T));
-    array = std::move(grown);
-}
-
 } // namespace
 
 RowBatch::RowBatch(const RowMeasures& measures)
@@ -146,72 +135,104 @@ RowBatch::RowBatch(const RowMeasures& measures)
 void RowBatch::reserve(std::size_t groups)
 {
     if (groups <= mCapacity) return;
-    const std::size_t capacity = groups + groups / 2;
-    PageArray<double> grown;
-    grown.resizeDiscarding(capacity * kGroup * kColumns);
-    // The radii are the only numbers of pairs that are there before a batch is complete.
-    if (mUsed > 0 && mHasRadii)
-        std::memcpy(grown.data() + kInverse * capacity * kGroup, column(kInverse),
-                    mUsed * kGroup * sizeof(double));
-    mPairs = std::move(grown);
-    growTo(mNumbers, mUsed * kGroup, capacity * kGroup);
-    growTo(mGroupRow, mUsed, capacity);
-    growTo(mGroupPairs, mUsed, capacity);
-    mCapacity = capacity;
+    mCapacity = groups + groups / 2;
+    mPairs.resizeDiscarding(mCapacity * kGroup * kColumns);
+    mGroupRow.resizeDiscarding(mCapacity);
+    mGroupPairs.resizeDiscarding(mCapacity);
 }
 
-void RowBatch::add(std::uint32_t query, const std::uint32_t* neighbors, std::uint32_t count)
+void RowBatch::take(const std::uint32_t* queries, const VisitedRows& rows)
 {
-    const std::size_t first = mUsed, end = first + groupsOf(count);
-    reserve(end);
-    const auto r = static_cast<std::uint32_t>(mRows.size());
-    std::uint32_t* numbers = mNumbers.data() + first * kGroup;
-    const std::size_t whole = count / kGroup;
-    for (std::size_t g = 0; g < whole; ++g) {
-        std::memcpy(numbers + g * kGroup, neighbors + g * kGroup, kGroup * sizeof(std::uint32_t));
-        mGroupRow[first + g] = r;
-        mGroupPairs[first + g] = kGroup;
+    const std::uint32_t* numbers = rows.numbers;
+    for (std::size_t r = 0; r < rows.rows; r += mGroups.rows) {
+        mCounts = rows.counts + r;
+        mGroups.rows = listGroups(mCounts, rows.rows - r);
+        mGroups.groups = mFirstGroup.back();
+        mGroups.numbers = numbers;
+        mGroups.row = mGroupRow.data();
+        mGroups.pairs = mGroupPairs.data();
+        mGroups.firstGroup = mFirstGroup.data();
+        mGroups.query = queries + r;
+        setOwnWeights();
+        if (mHasRadii) setRadii();
+        writeValues();
+        numbers += mGroups.groups * kGroup;
     }
-    if (whole < end - first) {
-        numbers += whole * kGroup;
-        neighbors += whole * kGroup;
-        const std::uint32_t left = count % kGroup;
-        for (std::uint32_t k = 0; k < kGroup; ++k) numbers[k] = neighbors[std::min(k, left - 1)];
-        mGroupRow[first + whole] = r;
-        mGroupPairs[first + whole] = left;
-    }
-    // A radius that reaches nobody does not reach the query itself.
-    const bool isOwn = mMeasures.sets.isCandidate(query) &&
-                       (!mHasRadii || radiusOfPair(mMeasures.sets.radius, query, query) > 0);
-    mOwn.push_back(isOwn ? 1 : 0);
-    mRows.push_back({query, count, mOwn.back(), mMeasures.radius});
-    mFirstGroup.push_back(static_cast<std::uint32_t>(first));
-    mQueries.push_back(mMeasures.positions.query(query));
-    mUsed = end;
-    if (mHasRadii && (count > 0 || isOwn)) setRadii(mRows.back(), first);
-    if (mUsed >= kBatchGroups || mRows.size() >= kBatchGroups) flush();
 }
 
-void RowBatch::setRadii(Row& row, std::size_t firstGroup)
+std::size_t RowBatch::listGroups(const std::uint32_t* counts, std::size_t rows)
+{
+    constexpr std::size_t kStep = 8; // groups that are written at once, for rows have a few
+    mFirstGroup.clear();
+    std::size_t groups = 0, r = 0;
+    for (; r < std::min(rows, kBatchGroups) && groups < kBatchGroups; ++r) {
+        const std::size_t end = groups + groupsOf(counts[r]);
+        if (r > 0 && end > kBatchGroups) break;
+        reserve(end + kStep);
+        mFirstGroup.push_back(static_cast<std::uint32_t>(groups));
+        for (std::size_t g = groups; g < end; g += kStep) {
+            std::fill_n(mGroupRow.data() + g, kStep, static_cast<std::uint32_t>(r));
+            std::fill_n(mGroupPairs.data() + g, kStep, static_cast<std::uint32_t>(kGroup));
+        }
+        if (counts[r] % kGroup != 0) mGroupPairs[end - 1] = counts[r] % kGroup;
+        groups = end;
+    }
+    mFirstGroup.push_back(static_cast<std::uint32_t>(groups));
+    return r;
+}
+
+void RowBatch::setOwnWeights()
+{
+    const SearchSetsData& sets = mMeasures.sets;
+    mReferences.assign(mGroups.rows, mMeasures.radius);
+    mOwn.assign(mGroups.rows, sets.areSameParticles() ? 1 : 0);
+    for (std::size_t r = 0; r < mGroups.rows && (mHasRadii || !sets.candidateChosen.empty()); ++r) {
+        const std::uint32_t query = mGroups.query[r];
+        // A radius that reaches nobody does not reach the query itself.
+        const bool isOwn =
+            sets.isCandidate(query) && (!mHasRadii || radiusOfPair(sets.radius, query, query) > 0);
+        mOwn[r] = isOwn ? 1 : 0;
+    }
+    mOwnWeights = mOwn;
+}
+
+void RowBatch::setRadii()
 {
     const Radius& radius = mMeasures.sets.radius;
     double* const inverse = column(kInverse);
-    const std::size_t begin = firstGroup * kGroup, end = mUsed * kGroup;
-    if (!mIsByPair) {
-        row.reference = radius.ofQueries[row.query];
-        std::fill(inverse + begin, inverse + end, 1 / row.reference);
-        return;
+    for (std::size_t r = 0; r < mGroups.rows; ++r) {
+        const std::size_t begin = mFirstGroup[r] * kGroup, end = mFirstGroup[r + 1] * kGroup;
+        if (begin == end && !(mOwn[r] > 0)) continue;
+        const std::uint32_t query = mGroups.query[r];
+        if (!mIsByPair) {
+            mReferences[r] = radius.ofQueries[query];
+            std::fill(inverse + begin, inverse + end, 1 / mReferences[r]);
+            continue;
+        }
+        for (std::size_t k = begin; k < end; ++k)
+            inverse[k] = 1 / radiusOfPair(radius, query, mGroups.numbers[k]);
+        if (mOwn[r] > 0) mOwnWeights[r] = cube(mReferences[r] / radiusOfPair(radius, query, query));
     }
-    for (std::size_t k = begin; k < end; ++k) inverse[k] = 1 / radiusOfPair(radius, row.query, mNumbers[k]);
-    if (row.ownWeight > 0) row.ownWeight = cube(row.reference / radiusOfPair(radius, row.query, row.query));
 }
 
 void RowBatch::makePairs()
 {
     const PairPositions& positions = mMeasures.positions;
     mMeasures.kernels.pairs[static_cast<std::size_t>(positions.record())](
-        mGroups, positions.candidates(), positions.map(), mWantsVectors ? column(kX) : nullptr, column(kY),
-        column(kZ), column(kDistance));
+        mGroups, positions.queries(), positions.candidates(), positions.map(),
+        mWantsVectors ? column(kX) : nullptr, column(kY), column(kZ), column(kDistance));
+    if (positions.hasUnknown()) lookUnknownUp();
+}
+
+void RowBatch::lookUnknownUp()
+{
+    double* const square = column(kDistance);
+    for (std::size_t k = 0; k < mGroups.groups * kGroup; ++k) {
+        if (!std::isnan(square[k])) continue;
+        const Vec3d d = mMeasures.positions.lookUp(mGroups.query[mGroupRow[k / kGroup]], mGroups.numbers[k]);
+        square[k] = (d[0] * d[0] + d[1] * d[1]) + d[2] * d[2];
+        for (int c = 0; c < 3 && mWantsVectors; ++c) column(kX + c)[k] = d[static_cast<std::size_t>(c)];
+    }
 }
 
 // W is a weight times W(0) of the row's reference: where radii differ from pair to pair, by the cube of its ratio to them.
@@ -219,8 +240,8 @@ void RowBatch::scaleByRadii()
 {
     double* const weight = column(kWeight);
     const double* const inverse = column(kInverse);
-    for (std::size_t k = 0; k < mUsed * kGroup; ++k)
-        weight[k] *= cube(mRows[mGroupRow[k / kGroup]].reference * inverse[k]);
+    for (std::size_t k = 0; k < mGroups.groups * kGroup; ++k)
+        weight[k] *= cube(mReferences[mGroupRow[k / kGroup]] * inverse[k]);
 }
 
 void RowBatch::weigh()
@@ -230,15 +251,17 @@ void RowBatch::weigh()
     const double* const inverse = mHasRadii ? column(kInverse) : &one;
     const std::size_t step = mHasRadii ? 1 : 0;
     if (mWantsWeights) {
-        kernels.weights(weightOf(mMeasures.options.kernel), mGroups, column(kDistance), inverse, step,
+        kernels.weights(weightOf(mMeasures.options.kernel), mGroups, column(kDistance), true, inverse, step,
                         column(kWeight));
         if (mIsByPair) scaleByRadii();
         sum(kWeight, 0, kFactorX, !mIsByPair, mWeightSums);
     }
     if (mTargets.stretch) {
-        kernels.weights(PairWeight::kPca, mGroups, column(kDistance), inverse, step, column(kPcaWeight));
+        kernels.weights(PairWeight::kPca, mGroups, column(kDistance), !mWantsWeights, inverse, step,
+                        column(kPcaWeight));
         sum(kPcaWeight, 0, kFactorX, true, mPcaSums);
     }
+    if (!mWantsWeights && !mTargets.stretch) kernels.roots(mGroups, column(kDistance));
 }
 
 // `isBounded`: by the weight of the query itself, which is the largest there is.
@@ -249,7 +272,7 @@ void RowBatch::sum(Column weight, int factorCount, Column firstFactor, bool isBo
     for (int f = 0; f < factorCount; ++f) factors[f] = column(firstFactor + f);
     const std::size_t each = static_cast<std::size_t>(std::max(factorCount, 1));
     mScales.resize(mGroups.rows);
-    mScratch.resize(std::max(mScratch.size(), (mUsed + 1) * kGroup * each));
+    mScratch.resize(std::max(mScratch.size(), (mGroups.groups + 1) * kGroup * each));
     out.resize(mGroups.rows * each);
     mMeasures.kernels.scales(mGroups, isBounded ? mOwn.data() : nullptr, column(weight), factors, factorCount,
                              mScales.data());
@@ -262,14 +285,14 @@ void RowBatch::writeDistances()
     if (!mTargets.meanDistance && !mTargets.nearestDistance) return;
     mSums.resize(mGroups.rows);
     mMeasures.kernels.least(mGroups, column(kDistance), mSums.data());
-    for (std::size_t r = 0; r < mRows.size() && mTargets.nearestDistance; ++r) {
-        if (mRows[r].count > 0) mTargets.nearestDistance[mRows[r].query] = static_cast<float>(mSums[r]);
+    for (std::size_t r = 0; r < mGroups.rows && mTargets.nearestDistance; ++r) {
+        if (mCounts[r] > 0) mTargets.nearestDistance[mGroups.query[r]] = static_cast<float>(mSums[r]);
     }
     if (!mTargets.meanDistance) return;
     sum(kDistance, 0, kFactorX, false, mSums);
-    for (std::size_t r = 0; r < mRows.size(); ++r) {
-        if (mRows[r].count > 0)
-            mTargets.meanDistance[mRows[r].query] = static_cast<float>(mSums[r] / mRows[r].count);
+    for (std::size_t r = 0; r < mGroups.rows; ++r) {
+        if (mCounts[r] > 0)
+            mTargets.meanDistance[mGroups.query[r]] = static_cast<float>(mSums[r] / mCounts[r]);
     }
 }
 
@@ -282,11 +305,12 @@ void RowBatch::writeDensities()
         sum(kWeight, 1, kFactorX, false, mSums);
     }
     const double atZero = weightAtZero(options.kernel);
-    for (std::size_t r = 0; r < mRows.size(); ++r) {
-        const Row& row = mRows[r];
-        const double own = row.ownWeight > 0 && hasMasses ? row.ownWeight * options.masses[row.query] : 0;
-        const double total = hasMasses ? mSums[r] + own : options.mass * (mWeightSums[r] + row.ownWeight);
-        mTargets.density[row.query] = static_cast<float>(total * (atZero / cube(row.reference)));
+    for (std::size_t r = 0; r < mGroups.rows; ++r) {
+        const std::uint32_t query = mGroups.query[r];
+        const double ownWeight = mOwnWeights[r];
+        const double own = ownWeight > 0 && hasMasses ? ownWeight * options.masses[query] : 0;
+        const double total = hasMasses ? mSums[r] + own : options.mass * (mWeightSums[r] + ownWeight);
+        mTargets.density[query] = static_cast<float>(total * (atZero / cube(mReferences[r])));
     }
 }
 
@@ -297,8 +321,8 @@ void RowBatch::writeAverage(const MeasureTargets::Average& average)
     Column weight = kWeight;
     if (attribute.valid) {
         weight = kValidWeight;
-        for (std::size_t k = 0; k < mUsed * kGroup; ++k)
-            column(kValidWeight)[k] = column(kWeight)[k] * attribute.valid[mNumbers[k]];
+        for (std::size_t k = 0; k < mGroups.groups * kGroup; ++k)
+            column(kValidWeight)[k] = column(kWeight)[k] * attribute.valid[mGroups.numbers[k]];
         sum(kValidWeight, 0, kFactorX, false, mValidSums);
     }
     const std::size_t width = attribute.isVector ? 3 : 1;
@@ -309,10 +333,10 @@ void RowBatch::writeAverage(const MeasureTargets::Average& average)
         kernels.scalars[attribute.isDouble](mGroups, attribute.values, column(kFactorX));
     }
     sum(weight, static_cast<int>(width), kFactorX, false, mSums);
-    for (std::size_t r = 0; r < mRows.size(); ++r) {
-        const std::size_t query = mRows[r].query;
+    for (std::size_t r = 0; r < mGroups.rows; ++r) {
+        const std::size_t query = mGroups.query[r];
         const bool hasOwn = mOwn[r] > 0 && (!attribute.valid || attribute.valid[query] != 0);
-        const double own = hasOwn ? mRows[r].ownWeight : 0;
+        const double own = hasOwn ? mOwnWeights[r] : 0;
         const double total = (attribute.valid ? mValidSums[r] : mWeightSums[r]) + own;
         if (!(total > 0)) continue;
         for (std::size_t c = 0; c < width; ++c) {
@@ -325,7 +349,7 @@ void RowBatch::writeAverage(const MeasureTargets::Average& average)
 // Of the sums of W (x_j - x_i).
 void RowBatch::writeNormals()
 {
-    for (std::size_t r = 0; r < mRows.size(); ++r) {
+    for (std::size_t r = 0; r < mGroups.rows; ++r) {
         const double* const v = mVectors.data() + 3 * r;
         // In units of the largest component, so that nothing passes the range.
         const double largest = std::max({std::fabs(v[0]), std::fabs(v[1]), std::fabs(v[2])});
@@ -333,18 +357,18 @@ void RowBatch::writeNormals()
         const double u[3] = {v[0] / largest, v[1] / largest, v[2] / largest};
         const double length = std::sqrt((u[0] * u[0] + u[1] * u[1]) + u[2] * u[2]);
         for (std::size_t c = 0; c < 3; ++c)
-            mTargets.normal[3 * mRows[r].query + c] = static_cast<float>(-u[c] / length);
+            mTargets.normal[3 * mGroups.query[r] + c] = static_cast<float>(-u[c] / length);
     }
 }
 
 void RowBatch::writePca(const double* eigen, std::size_t r)
 {
     const PcaOptions& pca = mMeasures.options.pca;
-    const std::size_t query = mRows[r].query;
+    const std::size_t query = mGroups.query[r];
     if (pca.average > 0) {
         for (std::size_t c = 0; c < 3; ++c) mTargets.pws[3 * query + c] += pca.average * mCenters[3 * r + c];
     }
-    const std::uint64_t points = std::uint64_t(mRows[r].count) + (mOwn[r] > 0 ? 1 : 0);
+    const std::uint64_t points = std::uint64_t(mCounts[r]) + (mOwn[r] > 0 ? 1 : 0);
     if (pca.threshold == 0 || points < pca.threshold) return;
     mTargets.ellipsoids[query] = 1;
     const Axes axes(eigen);
@@ -365,14 +389,14 @@ void RowBatch::writeEigenvalues(const double* eigen, std::size_t r)
 {
     const Axes axes(eigen);
     for (std::size_t k = 0; k < 3; ++k)
-        mTargets.eigenvalues[3 * mRows[r].query + k] = static_cast<float>(axes.value[k]);
+        mTargets.eigenvalues[3 * mGroups.query[r] + k] = static_cast<float>(axes.value[k]);
 }
 
 // Weighted means and moments about them; mVectors has the sums of the weight times x_j - x_i.
 void RowBatch::writeAxes(Column weight, bool isPca)
 {
-    const std::size_t rows = mRows.size(), padded = (rows + kPairPad - 1) / kPairPad * kPairPad;
-    const auto ownOf = [&](std::size_t r) { return isPca ? mOwn[r] : mRows[r].ownWeight; };
+    const std::size_t rows = mGroups.rows, padded = (rows + kPairPad - 1) / kPairPad * kPairPad;
+    const auto ownOf = [&](std::size_t r) { return isPca ? mOwn[r] : mOwnWeights[r]; };
     const std::vector<double>& weightSums = isPca ? mPcaSums : mWeightSums;
     mCenters.assign(3 * rows, 0.0);
     mTotals.resize(rows);
@@ -383,7 +407,7 @@ void RowBatch::writeAxes(Column weight, bool isPca)
     }
     mMoments.assign(6 * padded, 0.0);
     mScales.resize(rows);
-    mScratch.resize(std::max(mScratch.size(), (mUsed + 1) * kGroup * 6));
+    mScratch.resize(std::max(mScratch.size(), (mGroups.groups + 1) * kGroup * 6));
     mMeasures.kernels.moments(mGroups, column(weight), column(kX), column(kY), column(kZ), mCenters.data(),
                               mScales.data(), mScratch.data(), mMoments.data());
     for (std::size_t r = 0; r < rows; ++r) {
@@ -408,17 +432,8 @@ void RowBatch::writeAxes(Column weight, bool isPca)
     }
 }
 
-void RowBatch::flush()
+void RowBatch::writeValues()
 {
-    if (mRows.empty()) return;
-    mFirstGroup.push_back(static_cast<std::uint32_t>(mUsed));
-    mGroups = {mUsed,
-               mRows.size(),
-               mNumbers.data(),
-               mGroupRow.data(),
-               mGroupPairs.data(),
-               mFirstGroup.data(),
-               mQueries.data()};
     makePairs();
     weigh();
     if (mTargets.density) writeDensities();
@@ -431,11 +446,6 @@ void RowBatch::flush()
         writeAxes(kPcaWeight, true);
     }
     writeDistances();
-    mRows.clear();
-    mOwn.clear();
-    mFirstGroup.clear();
-    mQueries.clear();
-    mUsed = 0;
 }
 
 } // namespace vdb_nns

@@ -1,11 +1,12 @@
-// Measures of rows of neighbors: a thread collects rows pair by pair and, a few hundred pairs at a time, has the kernels weigh and
-// sum them. Knows weights, radii and results; not who is a neighbor.
+// Measures of rows of neighbors: a few hundred pairs at a time, a thread has the kernels weigh and sum them. Knows weights, radii and
+// results; not who is a neighbor.
 #pragma once
 
 #include "cpu/kernels.h"
 #include "grid/search_sets_data.h"
 #include "measure/pair_positions.h"
 #include "measure/results.h"
+#include "search/thread_state.h"
 #include "util/memory.h"
 #include "vdb_nns/measure.h"
 
@@ -37,17 +38,10 @@ class RowBatch {
 public:
     explicit RowBatch(const RowMeasures& measures);
 
-    // Takes the row of a query. The numbers are not kept.
-    void add(std::uint32_t query, const std::uint32_t* neighbors, std::uint32_t count);
-    // Writes the values of the rows that are there.
-    void flush();
+    // Writes the values of queries, given by number, whose rows these are.
+    void take(const std::uint32_t* queries, const VisitedRows& rows);
 
 private:
-    struct Row {
-        std::uint32_t query, count;
-        double ownWeight; // of the query in the sums of W: 0 where it is no candidate
-        double reference; // radius that W is a multiple of
-    };
     // Numbers of doubles a pair.
     enum Column {
         kX,
@@ -65,10 +59,14 @@ private:
     };
 
     double* column(int c) { return mPairs.data() + static_cast<std::size_t>(c) * mCapacity * kGroup; }
-    // Keeps the groups that are there.
     void reserve(std::size_t groups);
-    void setRadii(Row& row, std::size_t firstGroup);
+    // Lists the groups of the next rows, as many as a batch takes, and returns how many rows they are.
+    std::size_t listGroups(const std::uint32_t* counts, std::size_t rows);
+    void setOwnWeights();
+    void setRadii();
+    void writeValues();
     void makePairs();
+    void lookUnknownUp();
     void weigh();
     void scaleByRadii();
     void sum(Column weight, int factorCount, Column firstFactor, bool isBounded, std::vector<double>& out);
@@ -83,17 +81,18 @@ private:
     const RowMeasures& mMeasures;
     const MeasureTargets& mTargets;
     const bool mWantsWeights, mWantsVectors, mHasRadii, mIsByPair;
-    std::size_t mCapacity = 0, mUsed = 0; // groups
+    std::size_t mCapacity = 0; // groups
     PairGroups mGroups{};
     PageArray<double> mPairs;
-    PageArray<std::uint32_t> mNumbers, mGroupRow, mGroupPairs; // PairGroups::numbers, row, pairs
+    PageArray<std::uint32_t> mGroupRow, mGroupPairs; // PairGroups::row, pairs
     std::vector<std::uint32_t> mFirstGroup;
-    std::vector<const void*> mQueries; // their positions
-    std::vector<Row> mRows;
-    std::vector<double> mOwn; // of each row: 1 where the query is a candidate, else 0
-    std::vector<RowScale> mScales;
     std::vector<std::uint64_t> mScratch;
     // By row.
+    const std::uint32_t* mCounts = nullptr; // of pairs
+    std::vector<double> mOwn;               // 1 where the query is a candidate, else 0
+    std::vector<double> mOwnWeights;        // of the query in the sums of W: 0 where it is no candidate
+    std::vector<double> mReferences;        // radius that W is a multiple of
+    std::vector<RowScale> mScales;
     std::vector<double> mWeightSums, mPcaSums, mSums, mValidSums, mTotals, mVectors, mCenters, mMoments,
         mEigen;
 };

@@ -43,11 +43,13 @@ public:
         std::memcpy(mBlock.result, &head, sizeof head);
     }
 
-    void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) override
+    void take(const VisitedRows& rows) override
     {
-        mCounts[slot - mBlock.image.firstQuery] = count;
-        if (mEntries + count <= mRoom) std::copy_n(neighbors, count, mRows + mEntries);
-        mEntries += count;
+        rows.forEach([&](std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) {
+            mCounts[slot - mBlock.image.firstQuery] = count;
+            if (mEntries + count <= mRoom) std::copy_n(neighbors, count, mRows + mEntries);
+            mEntries += count;
+        });
     }
 
 private:
@@ -98,7 +100,7 @@ private:
     void searchLeaf(const SearchTask& task)
     {
         if (mBlock.encoding == Encoding::kIndex) {
-            mState.beginCallbacks(*this, task);
+            mState.beginCallbacks(*this, task, RowKind::kVisit, nullptr);
             mRun.kernels.visit(mContext, task, mState.exactPredicate(), mState.halo, mState.visited,
                                mStatistics);
             mState.flushRows();

@@ -174,10 +174,11 @@ namespace {
 
 SearchTaskFunction kernelOf(const RowKernels& kernels, RowKind kind)
 {
-    return kind == RowKind::kIndex   ? kernels.index
-           : kind == RowKind::kVisit ? kernels.visit
-           : kind == RowKind::kMask  ? kernels.mask
-                                     : kernels.count;
+    return kind == RowKind::kIndex     ? kernels.index
+           : kind == RowKind::kVisit   ? kernels.visit
+           : kind == RowKind::kSmaller ? kernels.smaller
+           : kind == RowKind::kMask    ? kernels.mask
+                                       : kernels.count;
 }
 
 RowKind kindOf(Encoding encoding)

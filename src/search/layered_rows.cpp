@@ -203,7 +203,7 @@ void LayeredRows::joinNumbers(const SearchRun& run, const SearchTask& task, Thre
         }
         const bool isCut = run.context.sets.nearest > 0;
         mRow.clear();
-        if (!isCut) reserve(count);
+        if (!isCut) reserve(count + RowSink::kPad);
         std::uint32_t* to = sink.out;
         for (const std::unique_ptr<Share>& share : mShares) {
             if (share->isEmpty) continue;
@@ -220,12 +220,16 @@ void LayeredRows::joinNumbers(const SearchRun& run, const SearchTask& task, Thre
         if (isCut) {
             keepNearest(run, run.queries.number[slot], state);
             count = mRow.size();
-            reserve(count);
+            reserve(count + RowSink::kPad);
             std::copy(mRow.begin(), mRow.end(), sink.out);
         }
         sink.rowBegin[slot - sink.slotBase] = sink.out;
         sink.rowCount[slot - sink.slotBase] = static_cast<std::uint32_t>(count);
         sink.out += count;
+        if (sink.isPadded && count > 0) {
+            const std::size_t pads = (RowSink::kPad - count % RowSink::kPad) % RowSink::kPad;
+            sink.out = std::fill_n(sink.out, pads, sink.out[-1]);
+        }
         sink.nextSlot = slot + 1;
     }
 }

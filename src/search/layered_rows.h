@@ -20,8 +20,9 @@ struct ThreadState;
 
 // What is made of a task's rows.
 enum class RowKind {
-    kIndex, // rows of numbers, held for long
-    kVisit, // rows of numbers, read at once
+    kIndex,   // rows of numbers, held for long
+    kVisit,   // rows of numbers, read at once
+    kSmaller, // the same, of numbers smaller than the query's
     kMask,
     kCount
 };

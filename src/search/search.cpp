@@ -144,9 +144,18 @@ public:
     {
     }
 
-    void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) override
+    void take(const VisitedRows& rows) override
     {
-        const std::uint32_t query = mQueries.number[slot];
+        rows.forEach([&](std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) {
+            visit(mQueries.number[slot], neighbors, count);
+        });
+    }
+
+private:
+    static constexpr std::uint32_t kDistancesBetweenChecks = 1u << 18;
+
+    void visit(std::uint32_t query, const std::uint32_t* neighbors, std::uint32_t count)
+    {
         if (count >= kDistancesBetweenChecks) mCancel.check();
         mDistances.resize(std::max<std::size_t>(mDistances.size(), count));
         for (std::uint32_t k = 0; k < count; ++k) {
@@ -155,9 +164,6 @@ public:
         }
         mVisitor(query, {neighbors, count}, {mDistances.data(), count});
     }
-
-private:
-    static constexpr std::uint32_t kDistancesBetweenChecks = 1u << 18;
 
     const SparseGridData& mQueries;
     const PairDistance mDistance;
@@ -173,9 +179,11 @@ public:
     {
     }
 
-    void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) override
+    void take(const VisitedRows& rows) override
     {
-        mVisitor(mQueries.number[slot], {neighbors, count});
+        rows.forEach([&](std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) {
+            mVisitor(mQueries.number[slot], {neighbors, count});
+        });
     }
 
 private:
@@ -195,7 +203,7 @@ void visitAll(EngineState& engine, const SearchSets& sets, const SearchOptions& 
         const double start = wallSeconds();
         const SearchRuns runs(setsWithin(sets, options.radius), options);
         engine.beginStatistics(options);
-        runs.forEach([&](const SearchRun& run) { visitTasks(engine, run, makeCallback); });
+        runs.forEach([&](const SearchRun& run) { visitTasks(engine, run, RowKind::kVisit, makeCallback); });
         engine.sumStatistics();
         engine.statistics.searchSeconds = wallSeconds() - start;
     });

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <utility>
 
 #include <tbb/task_arena.h>
 
@@ -58,6 +59,7 @@ ThreadState::ThreadState() : halo{}, sink{}, visited{}
     sink.owner = visited.owner = this;
     sink.grow = growRows;
     visited.grow = growVisited;
+    visited.isPadded = true;
     begin();
 }
 
@@ -148,7 +150,8 @@ void ThreadState::growRows(RowSink& sink, std::size_t entries)
     sink.end = sink.out + bytes / sizeof(std::uint32_t);
 }
 
-void ThreadState::beginCallbacks(RowCallback& callback, const SearchTask& task)
+void ThreadState::beginCallbacks(RowCallback& callback, const SearchTask& task, RowKind kind,
+                                 const std::uint32_t* number)
 {
     mCallback = &callback;
     const std::size_t queries = task.endSlot - task.firstSlot;
@@ -156,7 +159,11 @@ void ThreadState::beginCallbacks(RowCallback& callback, const SearchTask& task)
     mVisitedCount.assign(queries, 0);
     visited.slotBase = visited.nextSlot = mVisited = task.firstSlot;
     visited.rowBegin = mVisitedBegin.data();
-    visited.rowCount = mVisitedCount.data();
+    visited.rowCount = visited.rowLength = mVisitedCount.data();
+    visited.number = number;
+    if (kind != RowKind::kSmaller) return;
+    mVisitedLength.assign(queries, 0);
+    visited.rowLength = mVisitedLength.data();
 }
 
 void ThreadState::growVisited(RowSink& sink, std::size_t entries)
@@ -174,11 +181,12 @@ void ThreadState::growVisited(RowSink& sink, std::size_t entries)
 
 void ThreadState::flushRows()
 {
-    for (; mVisited < visited.nextSlot; ++mVisited) {
-        const std::uint32_t row = mVisited - visited.slotBase;
-        mCallback->take(mVisited, mVisitedBegin[row], mVisitedCount[row]);
-    }
     visited.out = static_cast<std::uint32_t*>(mVisitedRows.data());
+    if (mVisited == visited.nextSlot) return;
+    const std::uint32_t first = std::exchange(mVisited, visited.nextSlot);
+    const std::uint32_t begin = first - visited.slotBase;
+    mCallback->take(
+        {first, mVisited - first, visited.out, visited.rowLength + begin, visited.rowCount + begin});
 }
 
 } // namespace vdb_nns

@@ -41,11 +41,31 @@ private:
     std::uint64_t mAllowedBytes = 0, mTakenBytes = 0;
 };
 
-// Takes rows of numbers as they are made, in the order of slots. The numbers are valid during the call.
+// Rows of consecutive slots, one behind the other, each filled up to a multiple of RowSink::kPad.
+struct VisitedRows {
+    std::uint32_t firstSlot, rows;
+    const std::uint32_t* numbers;
+    const std::uint32_t* lengths; // of each row
+    const std::uint32_t*
+        counts; // of neighbors; others than the lengths where rows have the smaller numbers alone
+
+    // f(slot, numbers, length)
+    template <typename F>
+    void forEach(F&& f) const
+    {
+        const std::uint32_t* row = numbers;
+        for (std::uint32_t r = 0; r < rows; ++r) {
+            f(firstSlot + r, row, lengths[r]);
+            row += (lengths[r] + RowSink::kPad - 1) / RowSink::kPad * RowSink::kPad;
+        }
+    }
+};
+
+// Takes rows of numbers as they are made, in the order of slots. They are valid during the call.
 class RowCallback {
 public:
     virtual ~RowCallback() = default;
-    virtual void take(std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) = 0;
+    virtual void take(const VisitedRows& rows) = 0;
 };
 
 struct ThreadState {
@@ -66,9 +86,10 @@ struct ThreadState {
     static void beginPlainRows(RowSink& sink);
     static void endPlainRows(RowSink& sink);
 
-    // Rows of the coming task, by Kernels::visit, go to `callback` instead of into lists. Queries outside of the task's cells
-    // have empty rows.
-    void beginCallbacks(RowCallback& callback, const SearchTask& task);
+    // Rows of the coming task, of kVisit or kSmaller, go to `callback` instead of into lists. Queries outside of the task's cells
+    // have empty rows. `number`: of the queries, by slot.
+    void beginCallbacks(RowCallback& callback, const SearchTask& task, RowKind kind,
+                        const std::uint32_t* number);
     void flushRows();
 
     HaloScratch halo;
@@ -97,7 +118,7 @@ private:
     PageBlock mHaloMemory;
     PageBlock mVisitedRows; // numbers of neighbors
     std::vector<std::uint32_t*> mVisitedBegin;
-    std::vector<std::uint32_t> mVisitedCount;
+    std::vector<std::uint32_t> mVisitedCount, mVisitedLength;
     RowCallback* mCallback = nullptr;
     std::uint32_t mVisited = 0; // slots before it were handed out
     ExactTestMemory mExactMemory;
