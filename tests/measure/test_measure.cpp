@@ -20,6 +20,7 @@
 #include <memory>
 #include <random>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace vdb_nns::testing {
@@ -140,6 +141,49 @@ TEST(Measure, SameBytesOnAllInstructionSets)
             options.search.simd = level;
             EXPECT_TRUE(measured(c.view, c.radius, values, options) == expected)
                 << c.name << ", " << simdLevelName(level);
+        }
+    }
+}
+
+// A set whose offsets are as a file has them, of 24 bits, and some of them so small, or so far away, that voxel and offset are no double.
+PointSet wholeVoxels(std::size_t tiny, std::size_t far)
+{
+    PointSet set;
+    set.name = std::to_string(tiny) + " tiny, " + std::to_string(far) + " far";
+    set.radius = 1.5;
+    set.linear = {{{0.75, 0.25, 0}, {0, -1, 0.125}, {0.0625, 0, 1.25}}};
+    std::mt19937 random(9);
+    for (std::size_t i = 0; i < 6000; ++i) {
+        ExactPoint point{};
+        for (int k = 0; k < 3; ++k) {
+            point.voxel[k] = static_cast<std::int64_t>(random() % 16) + (i < far ? 20000 : 0) - 9000;
+            point.offset[k] = roundedToFloat(static_cast<double>(random()) / 4294967296.0 - 0.5);
+        }
+        if (i % 50 == 7 && i / 50 < tiny)
+            point.offset[i % 3] = std::ldexp(0.75, -20 - static_cast<int>(i % 30));
+        set.points.push_back(point);
+    }
+    return set;
+}
+
+// In unbounded memory positions of a grid are doubles where they can be, else records of half that size.
+TEST(Measure, SameBytesHoweverPositionsAreHeld)
+{
+    // None, as many as are looked up, and too many.
+    const std::pair<std::size_t, std::size_t> unknowns[] = {{0, 0}, {5, 0}, {3, 2}, {120, 0}, {0, 700}};
+    for (const auto& [tiny, far] : unknowns) {
+        const PointSet set = wholeVoxels(tiny, far);
+        const ParticleView view(std::make_shared<VoxelSource>(set));
+        const Values values(view.size());
+        MeasureOptions options;
+        const std::string expected = measured(view, set.radius, values, options);
+        options.search.hostMemoryBytes = std::uint64_t(1) << 30;
+        EXPECT_TRUE(measured(view, set.radius, values, options) == expected) << set.name;
+        for (const SimdLevel level : {SimdLevel::kScalar, SimdLevel::kSse4}) {
+            options.search.hostMemoryBytes = 0;
+            options.search.simd = level;
+            EXPECT_TRUE(measured(view, set.radius, values, options) == expected)
+                << set.name << ", " << simdLevelName(level);
         }
     }
 }
