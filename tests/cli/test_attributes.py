@@ -269,6 +269,13 @@ class Refused(MeasureCase):
             self.refused(3, input, "density", "--mass-attribute", "bad", says=["-0.5", "2 of 200", "negative"])
             self.refused(3, input, "density", "--mass-attribute", "nan", says=["nan", "3 of 200"])
         self.refused(2, self.npy("x.npy", self.points), "average:v", says=["no values named 'v'", "a .vdb, a .ply and an .npz"])
+        # Positions are none.
+        ply = self.path("in.ply")
+        self.succeeds("convert", self.array, "-o", ply, "--keep", "mass", "-q")
+        for input, name in ((self.vdb, "P"), (ply, "y"), (self.array, "positions")):
+            self.refused(2, input, "average:" + name,
+                         says=[f"'{name}' is the position", "averages are made of float", "pws of pca with --pca-average 1"])
+            self.refused(2, input, "density", "--mass-attribute", name, says=[f"'{name}' is the position", "masses are one number"])
         # Attributes are those of IN, not of other queries.
         self.refused(2, self.npy("x.npy", self.points), "average:mass", "--queries", self.array, says="no values named 'mass'")
 

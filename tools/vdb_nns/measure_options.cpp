@@ -132,11 +132,32 @@ void checkClusters(const std::vector<std::string>& names, const QueryPlan& query
 
 // ---- values of the candidates -------------------------------------------------------------------------------------
 
+// What a message says that these can be.
+constexpr const char* kMassTypes = "one number a point: float, double, int32 or int64";
+constexpr const char* kAverageTypes = "float, double, int32, int64, vec3s and vec3d, one value a point";
+
+// Whether a file calls its positions so, or one of their coordinates.
+bool isPosition(const PointFileInfo& info, const std::string& name)
+{
+    if (info.format == "vdb") return name == "P";
+    if (info.format == "ply") return name == "x" || name == "y" || name == "z";
+    return info.format == "npz" && name == "positions";
+}
+
 // `flag` begins messages.
 [[noreturn]] void failMissing(const PointFile& file, const std::vector<StoredValue>& list,
                               const std::string& name, const std::string& flag)
 {
     const PointFileInfo& info = file.info();
+    if (isPosition(info, name)) {
+        const bool isMass = flag == "--mass-attribute";
+        throw InvalidInput(flag + ": " + info.path + ": '" + name + "' is the position, which is no " +
+                           (isMass
+                                ? std::string("mass; masses are ") + kMassTypes
+                                : std::string("attribute to average; averages are made of ") + kAverageTypes +
+                                      ". The weighted mean of the positions is pws of pca with "
+                                      "--pca-average 1"));
+    }
     if (info.format == "vdb" || info.format == "ply")
         file.readScalars(name); // whose message knows the nearest name
     if (list.empty())
@@ -214,7 +235,7 @@ std::vector<double> readMasses(const PointFile& file, const std::vector<StoredVa
     const StoredValue value = findValue(file, list, name, "--mass-attribute");
     if (value.isGroup || !value.readAs || !isScalar(*value.readAs)) {
         throw InputError("--mass-attribute: " + file.info().path + ": '" + name + "' has type " + value.type +
-                         "; masses are one number a point: float, double, int32 or int64");
+                         "; masses are " + kMassTypes);
     }
     std::vector<double> masses = asDoubles(file.readValues({value}, progress).attributes.at(0));
     checkMasses(file, name, masses);
@@ -228,10 +249,8 @@ std::vector<PointAttribute> readAveraged(const PointFile& file, const std::vecto
     for (const std::string& name : names) {
         const StoredValue value = findValue(file, list, name, "--attributes average:" + name);
         if (value.isGroup || !value.readAs || *value.readAs == AttributeType::kMat3s) {
-            throw InputError(
-                "--attributes average:" + name + ": " + file.info().path + ": '" + name + "' has type " +
-                value.type +
-                "; averages are made of float, double, int32, int64, vec3s and vec3d, one value a point");
+            throw InputError("--attributes average:" + name + ": " + file.info().path + ": '" + name +
+                             "' has type " + value.type + "; averages are made of " + kAverageTypes);
         }
         chosen.push_back(value);
     }
