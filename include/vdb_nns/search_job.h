@@ -85,6 +85,10 @@ struct JobPlan {
     SparseGrid
         grid; ///< of all particles; empty where they are not both queries and candidates within one radius
     Plan plan;
+    /// Host memory of JobOptions::measures beside grid and lists, as a bound on it counts them: their values, the masses and
+    /// attributes that these are made of, copies of those and of the positions, and what a .vdb takes to be written
+    /// (JobOptions::written).
+    std::uint64_t measureBytes = 0;
     double gridSeconds = 0;
 };
 

@@ -7,6 +7,21 @@
 
 namespace vdb_nns::cli {
 
+WrittenKinds writtenKinds(const std::vector<std::string>& outputs)
+{
+    WrittenKinds kinds;
+    for (const std::string& path : outputs) {
+        const std::string extension = extensionOf(path);
+        if (extension != ".npz" && extension != ".vdb" && extension != ".ply") {
+            throw InvalidInput(path + ": the extension '" + extension +
+                               "' is not known; use .npz for lists, .vdb or .ply for points with attributes");
+        }
+        kinds.npz |= extension == ".npz";
+        kinds.vdb |= extension == ".vdb";
+    }
+    return kinds;
+}
+
 bool makesNewGrid(const PointFile& points)
 {
     return points.info().format != "vdb";

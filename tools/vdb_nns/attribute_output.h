@@ -4,6 +4,7 @@
 #include "cli_options.h"
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/point_values.h"
+#include "vdb_nns/search_job.h"
 #include "vdb_nns/write_points.h"
 
 #include <optional>
@@ -17,6 +18,10 @@ struct AttributeOutputs {
     std::vector<std::string> points; ///< .vdb and .ply
     std::string arrays;              ///< .npz of the attributes alone; empty: none
 };
+
+/// What the files of -o are, by their extensions.
+/// @throws InvalidInput for another than .npz, .vdb and .ply
+WrittenKinds writtenKinds(const std::vector<std::string>& outputs);
 
 /// Whether a .vdb of such points is a new grid rather than a copy of theirs.
 bool makesNewGrid(const PointFile& points);

@@ -92,29 +92,6 @@ bool isAverage(const std::string& name)
     return name.compare(0, 8, "average:") == 0;
 }
 
-// The flags that are about other measures than those asked for.
-void checkUse(const MeasureFlags& flags, const std::vector<std::string>& names)
-{
-    const auto isAsked = [&](const char* name) {
-        return std::find(names.begin(), names.end(), name) != names.end();
-    };
-    const auto check = [](const std::string& flag, bool isUsed, const char* measures) {
-        if (isUsed) return;
-        throw InvalidInput(flag + " is about " + measures +
-                           "; ask for such a measure by --attributes, or leave the flag out");
-    };
-    const bool weighs = isAsked("density") || isAsked("normal") || isAsked("eigenvalues") ||
-                        std::any_of(names.begin(), names.end(), isAverage);
-    for (const std::string& flag : flags.given) {
-        if (flag == "--kernel") check(flag, weighs, "density, average, normal and eigenvalues");
-        if (flag == "--mass") check(flag, isAsked("density"), "density");
-        if (flag.compare(0, 6, "--pca-") == 0) check(flag, isAsked("pca"), "pca");
-    }
-    if (!flags.massAttribute.empty()) check("--mass-attribute", isAsked("density"), "density");
-    if (!flags.minNeighbors.empty())
-        check("--min-neighbors", isAsked("cluster") || isAsked("cluster_size"), "cluster and cluster_size");
-}
-
 void checkClusters(const std::vector<std::string>& names, const QueryPlan& query)
 {
     for (const std::string& name : names) {
@@ -259,7 +236,7 @@ std::vector<PointAttribute> readAveraged(const PointFile& file, const std::vecto
 
 } // namespace
 
-void addMeasureFlags(CLI::App& app, MeasureFlags& flags)
+void addMeasureFlags(CLI::App& app, MeasureFlags& flags, const std::string& without)
 {
     const auto add = [&](const std::string& name, std::string& target, const char* type,
                          const std::string& help) {
@@ -277,7 +254,7 @@ void addMeasureFlags(CLI::App& app, MeasureFlags& flags)
     CLI::Option* const attributes =
         app.add_option("--attributes", flags.attributes,
                        "measures, which become attributes, separated by commas: " + names +
-                           (flags.attributes.empty() ? "; default: those that the result has" : ""))
+                           (without.empty() ? "" : "; default: " + without))
             ->type_name("LIST")
             ->check(notEmpty());
     if (!flags.attributes.empty()) attributes->capture_default_str();
@@ -306,6 +283,28 @@ void addMeasureFlags(CLI::App& app, MeasureFlags& flags)
                "how far pca moves points to the mean of their neighbors, 0 to 1");
 }
 
+void checkMeasureUse(const MeasureFlags& flags, const std::vector<std::string>& names)
+{
+    const auto isAsked = [&](const char* name) {
+        return std::find(names.begin(), names.end(), name) != names.end();
+    };
+    const auto check = [](const std::string& flag, bool isUsed, const char* measures) {
+        if (isUsed) return;
+        throw InvalidInput(flag + " is about " + measures +
+                           "; ask for such a measure by --attributes, or leave the flag out");
+    };
+    const bool weighs = isAsked("density") || isAsked("normal") || isAsked("eigenvalues") ||
+                        std::any_of(names.begin(), names.end(), isAverage);
+    for (const std::string& flag : flags.given) {
+        if (flag == "--kernel") check(flag, weighs, "density, average, normal and eigenvalues");
+        if (flag == "--mass") check(flag, isAsked("density"), "density");
+        if (flag.compare(0, 6, "--pca-") == 0) check(flag, isAsked("pca"), "pca");
+    }
+    if (!flags.massAttribute.empty()) check("--mass-attribute", isAsked("density"), "density");
+    if (!flags.minNeighbors.empty())
+        check("--min-neighbors", isAsked("cluster") || isAsked("cluster_size"), "cluster and cluster_size");
+}
+
 MeasurePlan checkMeasureFlags(const MeasureFlags& flags, const QueryPlan& query)
 {
     return checkMeasureFlags(flags, splitNames(flags.attributes), query);
@@ -330,7 +329,7 @@ MeasurePlan checkMeasureFlags(const MeasureFlags& flags, const std::vector<std::
                            "point has its own; leave one out");
     if (names.empty()) return plan;
     plan.results = checkMeasures(names, plan.options);
-    checkUse(flags, names);
+    checkMeasureUse(flags, names);
     checkClusters(names, query);
     return plan;
 }

@@ -158,7 +158,8 @@ Json planJson(const SearchReport& report)
     plan["cpu_particles"] = schedule.cpuParticles;
     plan["boundary_leaves"] = schedule.boundaryLeaves;
     plan["estimated_pairs"] = report.plan->total.expectedPairs;
-    plan["estimated_bytes"] = report.plan->everything.total();
+    plan["estimated_bytes"] = report.plan->everything.total() + report.measureBytes.value_or(0);
+    if (!report.run) plan["measure_bytes"] = orNull(report.measureBytes);
     plan["boundary"] = boundaryModeName(schedule.boundary);
     plan["estimator"] = estimatorName(report.plan->estimator);
     plan["correction"] = report.plan->correction;

@@ -58,9 +58,10 @@ struct SearchReport {
     bool straightToFile = false; ///< lists were not held: their rows went to the file as they came
     std::uint64_t candidateTests = 0, doublePairs = 0, exactPairs = 0;
     std::string simd;
-    std::optional<Plan> plan;             ///< empty where nothing was planned
-    std::optional<ScheduleRun> run;       ///< empty where no schedule was run
-    std::optional<ListStatistics> result; ///< empty for a dry run
+    std::optional<Plan> plan;                  ///< empty where nothing was planned
+    std::optional<std::uint64_t> measureBytes; ///< of a plan with measures: host memory that they take
+    std::optional<ScheduleRun> run;            ///< empty where no schedule was run
+    std::optional<ListStatistics> result;      ///< empty for a dry run
     std::optional<std::uint64_t> checksum;
     std::uint64_t peakBytes = 0;
     std::optional<WrittenMeasures> measures; ///< empty where none are written

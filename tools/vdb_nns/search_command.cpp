@@ -105,17 +105,10 @@ void addFlags(CLI::App& app, SearchFlags& flags)
 void checkOutputKinds(const SearchFlags& flags, SearchPlan& plan)
 {
     const std::string& rows = flags.query.queries.empty() ? flags.input.path : flags.query.queries;
-    bool hasNewGrid = false;
+    plan.job.written = writtenKinds(flags.outputs);
+    const bool hasNewGrid = plan.job.written.vdb && extensionOf(rows) != ".vdb";
     for (const std::string& path : flags.outputs) {
-        const std::string extension = extensionOf(path);
-        if (extension != ".npz" && extension != ".vdb" && extension != ".ply") {
-            throw InvalidInput(path + ": the extension '" + extension +
-                               "' is not known; use .npz for lists, .vdb or .ply for points with attributes");
-        }
-        plan.job.written.npz |= extension == ".npz";
-        if (extension != ".npz") plan.attributes.points.push_back(path);
-        plan.job.written.vdb |= extension == ".vdb";
-        hasNewGrid |= extension == ".vdb" && extensionOf(rows) != ".vdb";
+        if (extensionOf(path) != ".npz") plan.attributes.points.push_back(path);
     }
     plan.attributes.arrays = flags.attributesOutput;
     if (!flags.attributesOutput.empty() && extensionOf(flags.attributesOutput) != ".npz")
