@@ -20,8 +20,10 @@ namespace vdb_nns {
 
 /// What will be written of the lists, for the memory that writers need.
 struct WrittenKinds {
-    bool npz = false; ///< neighbor lists
-    bool vdb = false; ///< points with attributes
+    bool npz = false;            ///< neighbor lists
+    bool vdb = false;            ///< points with attributes
+    bool newGrid = false;        ///< in a grid that is made for them
+    std::uint64_t keptBytes = 0; ///< of a point, of values that the new grid gets beside measures
 };
 
 /// An .npz file that is to be written while its rows are found.

@@ -22,6 +22,8 @@ constexpr std::uint64_t kNpzWriter = 52 * kMiB;
 constexpr std::uint64_t kLeastBuffer = 1 * kMiB, kUsualBuffer = 64 * kMiB, kLargestBuffer = 256 * kMiB;
 // OpenVDB's writer; and for each particle the counts, and a copy of the attributes: of the counts, if there are no others.
 constexpr std::uint64_t kVdbWriter = 16 * kMiB, kCountsWritten = 4, kFewestAttributes = 4;
+// Of a point of a new grid: its place while points are sorted, its number there and as the attribute `id`, and P.
+constexpr std::uint64_t kNewGridPoint = 16 + 4 + 4 + 12;
 // What a thread makes of rows on several lattices before they are joined.
 constexpr std::uint64_t kLayeredBytes = LayeredRows::kMostBytes;
 // The tasks of a search, for each leaf; and for each the start of its mask rows, once more while they are ordered.
@@ -74,7 +76,9 @@ void HostBudget::beginLists(const SearchSets& sets, std::uint64_t reusableBytes)
 
 std::uint64_t HostBudget::vdbWriterBytes(std::uint64_t points) const
 {
-    return kVdbWriter + (kCountsWritten + std::max(kFewestAttributes, mMeasures.resultBytesEach())) * points;
+    const std::uint64_t attributes = std::max(kFewestAttributes, mMeasures.resultBytesEach());
+    const std::uint64_t gridEach = mWritten.newGrid ? kNewGridPoint + mWritten.keptBytes : 0;
+    return kVdbWriter + (kCountsWritten + attributes + gridEach) * points;
 }
 
 // Of the outputs, which are written one after the other, the largest need. Without lists the rows of an .npz are streamed.

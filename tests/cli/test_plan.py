@@ -233,6 +233,9 @@ class Measures(PlanCase):
         # Positions of doubles, a mass, an attribute as it is read, and as it is summed.
         plan = self.plan(*args, "--attributes", "density,average:v", "--mass-attribute", "mass")["plan"]
         self.assertEqual(plan["measure_bytes"], (8 + 12 + 32 + 8 + 12 + 32) * count)
+        # A new grid: places, numbers and P beside the values.
+        new, plain = (self.plan(*args, "--attributes", "density", *out)["plan"] for out in (["-o", self.path("x.vdb")], []))
+        self.assertEqual(new["measure_bytes"], plain["measure_bytes"] + (16 << 20) + (4 + 8 + 36) * count)
         queries = self.report("plan", *args, "--attributes", "average:kind", "--queries", path)["plan"]
         self.assertEqual(queries["measure_bytes"], 4 * count + (4 + 8) * count + 32 * 2 * count)
         text = self.succeeds("plan", path, "--attributes", "density,pca").out

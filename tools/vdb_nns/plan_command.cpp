@@ -83,7 +83,8 @@ void addFlags(CLI::App& app, PlanFlags& flags)
 void checkMeasures(const PlanFlags& flags, PlannedSearch& plan)
 {
     plan.measure = checkMeasureFlags(flags.measure, plan.query);
-    plan.job.written = writtenKinds(flags.outputs);
+    const std::string& rows = flags.query.queries.empty() ? flags.input.path : flags.query.queries;
+    plan.job.written = writtenKinds(flags.outputs, rows);
     if (plan.measure.names.empty()) {
         checkMeasureUse(flags.measure, {});
         if (!flags.outputs.empty())
