@@ -166,7 +166,7 @@ public:
     NeighborLists findNeighbors(const ParticleSet& candidates, const ParticleSet& queries,
                                 const Radius& radius, const JobOptions& options, JobReport& report);
 
-    /// Plans a job without running it, in full, also for the CPU alone. Whether lists fit the host is not looked
+    /// Plans a job without running it, in full, also for the CPU alone. Whether lists and measures fit the host is not looked
     /// at, so no fallback is planned.
     /// @throws as the job
     JobPlan planJob(const ParticleView& view, double radius, const JobOptions& options);

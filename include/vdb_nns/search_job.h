@@ -20,8 +20,10 @@ namespace vdb_nns {
 
 /// What will be written of the lists, for the memory that writers need.
 struct WrittenKinds {
-    bool npz = false; ///< neighbor lists
-    bool vdb = false; ///< points with attributes
+    bool npz = false;            ///< neighbor lists
+    bool vdb = false;            ///< points with attributes
+    bool newGrid = false;        ///< in a grid that is made for them
+    std::uint64_t keptBytes = 0; ///< of a point, of values that the new grid gets beside measures
 };
 
 /// An .npz file that is to be written while its rows are found.
@@ -85,6 +87,10 @@ struct JobPlan {
     SparseGrid
         grid; ///< of all particles; empty where they are not both queries and candidates within one radius
     Plan plan;
+    /// Host memory of JobOptions::measures beside grid and lists, as a bound on it counts them: their values, the masses and
+    /// attributes that these are made of, copies of those and of the positions, and what a .vdb takes to be written
+    /// (JobOptions::written).
+    std::uint64_t measureBytes = 0;
     double gridSeconds = 0;
 };
 

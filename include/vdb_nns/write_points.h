@@ -114,6 +114,24 @@ struct Conversion {
     std::vector<LeftOut> leftOut;
 };
 
+/// What of a file's values comes along into a new one.
+struct KeptValues {
+    std::vector<StoredValue> values; ///< for PointFile::readValues()
+    std::vector<Conversion::LeftOut> leftOut;
+};
+
+/// Chooses them by name, before any is read.
+/// @param path of the new file, by whose extension they must suit: .vdb, .ply, .npz or .npy
+/// @param keep ConvertOptions::keep
+/// @param others that the new file gets besides, by names and types alone. A value of the file that would stand where one of them
+///        does is refused, or, with `mayReplace`, replaced by it.
+/// @throws InvalidInput for such a value, for another extension, and for a name to be kept that the file does not have (the
+///         message has the nearest one) or that the new file cannot have
+/// @throws InputError for a value to be kept of a kind that cannot be carried; and as PointFile::listValues()
+KeptValues chooseKeptValues(const PointFile& file, const std::string& path, const std::string& keep,
+                            const PointValues& others = {}, bool mayReplace = false,
+                            Progress* progress = nullptr);
+
 /// Writes the points of a file into another one, whose extension is .vdb, .ply, .npz or .npy.
 /// @throws InvalidInput for another extension, for a voxel size without voxels, for a name to be kept that the file does not
 ///         have (the message has the nearest one) or that the new file cannot have

@@ -96,37 +96,16 @@ private:
     Progress* mProgress;
 };
 
-// What to read, with those that are left out noted.
-std::vector<StoredValue> chooseValues(const PointFile& file, const std::string& keep, ValueNames& names,
-                                      Progress* progress, Conversion& result)
-{
-    if (keep == "none") return {};
-    const std::vector<StoredValue> list = file.listValues(progress);
-    const bool isAll = keep == "all";
-    const std::vector<bool> isNamed = isAll ? std::vector<bool>(list.size()) : namedValues(file, list, keep);
-    std::vector<StoredValue> chosen;
-    for (std::size_t i = 0; i < list.size(); ++i) {
-        const StoredValue& value = list[i];
-        if (!isAll && !isNamed[i]) continue;
-        const std::string subject = file.info().path + ": '" + shownText(value.name) + "' ";
-        if (!value.problem.empty() && !isAll) throw InputError(subject + value.problem);
-        std::string problem = value.problem;
-        if (problem.empty()) problem = names.add(value.name, value.readAs);
-        if (problem.empty()) {
-            chosen.push_back(value);
-        } else if (isAll) {
-            result.leftOut.push_back({value.name, problem});
-        } else {
-            throw InvalidInput(subject + problem + "; leave it out of --keep");
-        }
-    }
-    return chosen;
-}
-
 // Whether files of the format have further values that are not read.
 bool hasUnreadValues(const std::string& format)
 {
     return format == "vtk" || format == "bgeo";
+}
+
+// The attribute of a .vdb that gets the points' numbers.
+std::string idOf(PointFormat format)
+{
+    return format == PointFormat::kVdb ? NewGridOptions().id : std::string();
 }
 
 WrittenPoints write(PointFormat format, const PointFile& file, const std::string& path,
@@ -163,6 +142,45 @@ void checkValueNames(const std::string& path, const PointValues& values, const s
     ValueNames(formatOf(path).format, id, /*hasPositions=*/false).addAll(path, values);
 }
 
+KeptValues chooseKeptValues(const PointFile& file, const std::string& path, const std::string& keep,
+                            const PointValues& others, bool mayReplace, Progress* progress)
+{
+    const PointFormat format = formatOf(path).format;
+    KeptValues result;
+    if (keep == "none") return result;
+    ValueNames names(format, idOf(format)), namesBesides = names;
+    namesBesides.addAll(path, others);
+    const std::vector<StoredValue> list = file.listValues(progress);
+    const bool isAll = keep == "all";
+    const std::vector<bool> isNamed = isAll ? std::vector<bool>(list.size()) : namedValues(file, list, keep);
+    for (std::size_t i = 0; i < list.size(); ++i) {
+        const StoredValue& value = list[i];
+        if (!isAll && !isNamed[i]) continue;
+        const std::string subject = file.info().path + ": '" + shownText(value.name) + "' ";
+        if (!value.problem.empty() && !isAll) throw InputError(subject + value.problem);
+        std::string problem = value.problem;
+        if (problem.empty()) problem = names.add(value.name, value.readAs);
+        if (problem.empty()) {
+            if (namesBesides.add(value.name, value.readAs).empty()) {
+                result.values.push_back(value);
+            } else if (!mayReplace) {
+                throw InvalidInput(
+                    subject + "exists, and " + path +
+                    " is to get another value of that name; use --force to replace it, another "
+                    "--prefix, or leave it out of --keep");
+            }
+        } else if (isAll) {
+            result.leftOut.push_back({value.name, problem});
+        } else {
+            throw InvalidInput(subject + problem + "; leave it out of --keep");
+        }
+    }
+    if (hasUnreadValues(file.info().format))
+        result.leftOut.push_back(
+            {"what the ." + file.info().format + " holds beside positions", "is not read"});
+    return result;
+}
+
 Conversion convertPoints(const PointFile& file, const std::string& path, const ConvertOptions& options,
                          const OutputOptions& output, Progress* progress)
 {
@@ -170,14 +188,11 @@ Conversion convertPoints(const PointFile& file, const std::string& path, const C
     const FormatName& target = formatOf(path);
     Conversion result;
     result.format = target.extension;
-    result.hasId = target.format == PointFormat::kVdb;
-    ValueNames names(target.format, result.hasId ? NewGridOptions().id : std::string());
+    result.hasId = !idOf(target.format).empty();
     StopOnly reading(progress);
-    const std::vector<StoredValue> chosen = chooseValues(file, options.keep, names, &reading, result);
-    if (options.keep != "none" && hasUnreadValues(file.info().format))
-        result.leftOut.push_back(
-            {"what the ." + file.info().format + " holds beside positions", "is not read"});
-    const PointValues values = file.readValues(chosen, &reading);
+    KeptValues kept = chooseKeptValues(file, path, options.keep, {}, false, &reading);
+    result.leftOut = std::move(kept.leftOut);
+    const PointValues values = file.readValues(kept.values, &reading);
     for (const PointAttribute& attribute : values.attributes)
         result.kept.push_back({attribute.name, attributeTypeName(attribute.type)});
     for (const PointGroup& group : values.groups) result.kept.push_back({group.name, "group"});

@@ -22,8 +22,8 @@ constexpr std::uint64_t kNpzWriter = 52 * kMiB;
 constexpr std::uint64_t kLeastBuffer = 1 * kMiB, kUsualBuffer = 64 * kMiB, kLargestBuffer = 256 * kMiB;
 // OpenVDB's writer; and for each particle the counts, and a copy of the attributes: of the counts, if there are no others.
 constexpr std::uint64_t kVdbWriter = 16 * kMiB, kCountsWritten = 4, kFewestAttributes = 4;
-// Positions of a particle as measures read them.
-constexpr std::uint64_t kMeasuredPosition = 32;
+// Of a point of a new grid: its place while points are sorted, its number there and as the attribute `id`, and P.
+constexpr std::uint64_t kNewGridPoint = 16 + 4 + 4 + 12;
 // What a thread makes of rows on several lattices before they are joined.
 constexpr std::uint64_t kLayeredBytes = LayeredRows::kMostBytes;
 // The tasks of a search, for each leaf; and for each the start of its mask rows, once more while they are ordered.
@@ -43,11 +43,11 @@ std::uint64_t difference(std::uint64_t from, std::uint64_t bytes)
 } // namespace
 
 HostBudget::HostBudget(std::uint64_t boundBytes, int threads, const WrittenKinds& written,
-                       std::uint64_t measureBytes)
+                       const MeasureMemory& measures)
     : mBoundBytes(boundBytes),
       mThreads(static_cast<std::uint64_t>(threads)),
       mWritten(written),
-      mMeasureBytes(measureBytes),
+      mMeasures(measures),
       mReserveBytes(kArrayReserve + mThreads * kThreadReserve)
 {
     if (isBounded()) returnFreedMemory();
@@ -74,14 +74,19 @@ void HostBudget::beginLists(const SearchSets& sets, std::uint64_t reusableBytes)
     mFreeBytes = difference(availableMemoryBytes() + sets.bytes() + reusableBytes, mReserveBytes);
 }
 
+std::uint64_t HostBudget::vdbWriterBytes(std::uint64_t points) const
+{
+    const std::uint64_t attributes = std::max(kFewestAttributes, mMeasures.resultBytesEach());
+    const std::uint64_t gridEach = mWritten.newGrid ? kNewGridPoint + mWritten.keptBytes : 0;
+    return kVdbWriter + (kCountsWritten + attributes + gridEach) * points;
+}
+
 // Of the outputs, which are written one after the other, the largest need. Without lists the rows of an .npz are streamed.
 std::uint64_t HostBudget::writerBytes(std::uint64_t points, Encoding encoding) const
 {
     const std::uint64_t npz =
         encoding == Encoding::kNone ? kPlaceBytes * points + mThreads * kLeastBuffer : kNpzWriter;
-    const std::uint64_t vdb =
-        kVdbWriter + (kCountsWritten + std::max(kFewestAttributes, mMeasureBytes)) * points;
-    return std::max(mWritten.npz ? npz : 0, mWritten.vdb ? vdb : 0);
+    return std::max(mWritten.npz ? npz : 0, mWritten.vdb ? vdbWriterBytes(points) : 0);
 }
 
 std::uint64_t HostBudget::layeredBytes(const SearchSets& sets) const
@@ -95,8 +100,7 @@ std::uint64_t HostBudget::listBytes(const SearchSets& sets, Encoding encoding) c
     std::uint64_t beside =
         kNumberBytes * points + kTaskBytes * leaves + writerBytes(points, encoding) + layeredBytes(sets);
     // Measures that are made in the pass that counts have their own look at what is left.
-    if (mMeasureBytes > 0 && encoding != Encoding::kNone)
-        beside += (mMeasureBytes + kMeasuredPosition) * points;
+    if (encoding != Encoding::kNone) beside += mMeasures.bytes(sets);
     if (encoding == Encoding::kMask) {
         beside += kMaskTaskBytes * leaves + kMaskCellBytes * (sets.cellCount() + leaves);
     }
@@ -116,6 +120,12 @@ std::uint64_t HostBudget::measureBytes(const SearchSets& sets, std::uint64_t hel
     return std::max<std::uint64_t>(1, difference(listBytes(sets, Encoding::kNone), heldBytes));
 }
 
+std::uint64_t HostBudget::attributeBytes(const SearchSets& sets) const
+{
+    const std::uint64_t written = mWritten.vdb ? vdbWriterBytes(sets.rowCount()) : 0;
+    return mMeasures.inputBytes() + mMeasures.bytes(sets) + written;
+}
+
 std::uint64_t HostBudget::windowBytes(const SearchSets& sets) const
 {
     const std::uint64_t points = sets.rowCount();
@@ -128,7 +138,8 @@ std::uint64_t HostBudget::bufferBytes(const SearchSets& sets) const
 {
     const std::uint64_t points = sets.rowCount();
     const std::uint64_t held = sets.bytes() + (kNumberBytes + kCountBytes + kPlaceBytes) * points +
-                               kTaskBytes * sets.leafCount() + layeredBytes(sets) + mMeasureBytes * points;
+                               kTaskBytes * sets.leafCount() + layeredBytes(sets) +
+                               mMeasures.resultBytesEach() * points;
     return std::clamp(difference(mFreeBytes, held), mThreads * kLeastBuffer,
                       mThreads * (isBounded() ? kLargestBuffer : kUsualBuffer));
 }

@@ -2,6 +2,7 @@
 // room for what is made beside and after them. Knows what every step holds; holds nothing itself.
 #pragma once
 
+#include "measure/measure_memory.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/search_job.h"
 
@@ -13,9 +14,9 @@ namespace vdb_nns {
 class HostBudget {
 public:
     // `boundBytes` 0: no bound, so that only lists and writers are held against what is free once the grid is made.
-    // `measureBytes`: of a point, of the measures that are made besides; 0 without any.
+    // `measures` are those that are made besides.
     HostBudget(std::uint64_t boundBytes, int threads, const WrittenKinds& written,
-               std::uint64_t measureBytes);
+               const MeasureMemory& measures);
 
     bool isBounded() const { return mBoundBytes > 0; }
 
@@ -34,6 +35,9 @@ public:
 
     // SearchOptions::hostMemoryBytes while measures are made, beside lists that are held.
     std::uint64_t measureBytes(const SearchSets& sets, std::uint64_t heldBytes) const;
+
+    // What measures and the .vdb that they are written to take in all, beside the sets and lists.
+    std::uint64_t attributeBytes(const SearchSets& sets) const;
 
     // What rows may take that wait for others to be written (searchToNpz()); 0 where the counts do not fit.
     std::uint64_t windowBytes(const SearchSets& sets) const;
@@ -55,11 +59,12 @@ public:
 private:
     std::string explanation() const; // as the end of a sentence
     std::uint64_t layeredBytes(const SearchSets& sets) const;
+    std::uint64_t vdbWriterBytes(std::uint64_t points) const;
     std::uint64_t writerBytes(std::uint64_t points, Encoding encoding) const;
 
     std::uint64_t mBoundBytes, mThreads;
     WrittenKinds mWritten;
-    std::uint64_t mMeasureBytes;
+    MeasureMemory mMeasures;
     std::uint64_t mUsedBytes = 0, mReserveBytes = 0, mFreeBytes = 0;
     bool mHasGrid = false;
 };

@@ -6,7 +6,7 @@
 #include "io/npz_search.h"
 #include "job/host_budget.h"
 #include "measure/measure_list.h"
-#include "measure/results.h"
+#include "measure/measure_memory.h"
 #include "search/engine_state.h"
 #include "search/sample_rows.h"
 #include "util/isolate.h"
@@ -80,7 +80,7 @@ public:
         : mEngine(engine),
           mState(state),
           mBudget(options.search.hostMemoryBytes, tbb::this_task_arena::max_concurrency(), options.written,
-                  MeasureResults::bytesEach(measuresOf(options.measures), options.measure)),
+                  MeasureMemory(measuresOf(options.measures), options.measure)),
           mReport(report)
     {
         JobOptions settled = options; // which may be those of the report
@@ -114,6 +114,7 @@ public:
         JobPlan result;
         result.sets = mBudget.explained([&] { return sort(candidates, queries, radius); });
         result.gridSeconds = mReport.gridSeconds;
+        result.measureBytes = mBudget.attributeBytes(result.sets);
         const SearchOptions& search = mReport.settled.search;
         if (!isPlain(result.sets, search)) {
             result.plan = planSets(result.sets, search);
@@ -240,6 +241,14 @@ private:
         return SparseGrid(data.parts[0].queries);
     }
 
+    // Radii of particles, as the caller has them.
+    static std::uint64_t radiusBytes(const SearchSets& sets)
+    {
+        const Radius& radius = sets.data().radius;
+        const bool areShared = radius.ofQueries.data() == radius.ofCandidates.data();
+        return (radius.ofQueries.size() + (areShared ? 0 : radius.ofCandidates.size())) * sizeof(double);
+    }
+
     // On the CPU, which takes them as a whole.
     Plan planSets(const SearchSets& sets, const SearchOptions& search)
     {
@@ -261,7 +270,7 @@ private:
         const ListWork work = isolated([&] { return countListWork(runs, search.progress, "estimate"); });
         plan.total.candidateTests = work.candidateTests;
         plan.total.maskBytes = work.maskBytes;
-        plan.everything.up = sets.bytes();
+        plan.everything.up = sets.bytes() + radiusBytes(sets);
         if (search.encoding == Encoding::kMask) plan.everything.down = work.maskBytes;
         if (search.encoding == Encoding::kIndex) {
             plan.everything.down =

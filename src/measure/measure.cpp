@@ -4,6 +4,7 @@
 #include "measure/averaged_values.h"
 #include "measure/cluster_pairs.h"
 #include "measure/measure_list.h"
+#include "measure/measure_memory.h"
 #include "measure/pair_positions.h"
 #include "measure/results.h"
 #include "measure/row_batch.h"
@@ -143,16 +144,7 @@ private:
 
     void checkMemory() const
     {
-        const std::uint64_t each = MeasureResults::bytesEach(mMeasures, mOptions);
-        std::uint64_t needed = mSets.bytes() + each * mSets.rowCount() +
-                               PairPositions::bytesFor(mSets.queries(), mSets.candidates());
-        for (const std::string& name : averagedNames()) {
-            for (const PointAttribute& attribute : mOptions.attributes) {
-                if (attribute.name == name)
-                    needed +=
-                        attribute.count * (attributeWidth(attribute.type) == 3 ? 4 : 1) * sizeof(double);
-            }
-        }
+        const std::uint64_t needed = mSets.bytes() + MeasureMemory(mMeasures, mOptions).bytes(mSets);
         const std::uint64_t allowed =
             mSearch.hostMemoryBytes ? mSearch.hostMemoryBytes : mSets.bytes() + availableMemoryBytes();
         if (needed > allowed)
@@ -160,15 +152,6 @@ private:
                                     std::to_string(allowed) +
                                     ": ask for fewer measures, or allow more host memory",
                                 needed, allowed);
-    }
-
-    std::vector<std::string> averagedNames() const
-    {
-        std::vector<std::string> names;
-        for (const Measure& measure : mMeasures) {
-            if (measure.kind == MeasureKind::kAverage) names.push_back(measure.attribute);
-        }
-        return names;
     }
 
     // What points have that nobody is near: their position, and no rotation.

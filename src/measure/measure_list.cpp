@@ -93,6 +93,17 @@ std::string resultName(const Measure& measure, const std::string& prefix)
     return prefix + names()[static_cast<std::size_t>(measure.kind)] + measure.attribute;
 }
 
+const PointAttribute& averagedAttribute(const Measure& measure, const MeasureOptions& options)
+{
+    std::vector<std::string> others;
+    for (const PointAttribute& attribute : options.attributes) {
+        if (attribute.name == measure.attribute) return attribute;
+        others.push_back(attribute.name);
+    }
+    throw InvalidInput("average:" + shownText(measure.attribute) + ": the candidates have no such attribute" +
+                       insteadText(measure.attribute, others, "attributes"));
+}
+
 AttributeType averageType(const PointAttribute& attribute)
 {
     switch (attribute.type) {

@@ -38,6 +38,9 @@ void checkMeasureOptions(const MeasureOptions& options);
 // Name of the result in a file; of pca's the first.
 std::string resultName(const Measure& measure, const std::string& prefix);
 
+// The attribute that is averaged. Throws InvalidInput where the options do not have it.
+const PointAttribute& averagedAttribute(const Measure& measure, const MeasureOptions& options);
+
 // Of an average of such an attribute. Throws InvalidInput for one that has none.
 AttributeType averageType(const PointAttribute& attribute);
 

@@ -1,9 +1,6 @@
 #include "measure/results.h"
 
-#include "util/nearest_name.h"
-#include "util/shown_text.h"
 #include "util/sole_owner.h"
-#include "vdb_nns/error.h"
 
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
@@ -21,17 +18,6 @@ void fill(T* values, std::uint64_t count, T value)
     tbb::parallel_for(tbb::blocked_range<std::uint64_t>(0, count, 65536), [&](const auto& range) {
         std::fill(values + range.begin(), values + range.end(), value);
     });
-}
-
-std::size_t attributeNamed(const std::string& name, const MeasureOptions& options)
-{
-    std::vector<std::string> names;
-    for (const PointAttribute& attribute : options.attributes) {
-        if (attribute.name == name) return names.size();
-        names.push_back(attribute.name);
-    }
-    throw InvalidInput("average:" + shownText(name) + ": the candidates have no such attribute" +
-                       insteadText(name, names, "attributes"));
 }
 
 } // namespace
@@ -117,9 +103,10 @@ void MeasureResults::addOne(const Measure& measure, const MeasureOptions& option
         fillIntegers(mTargets.nearest = addIntegers(), -1);
         break;
     case MeasureKind::kAverage: {
-        const std::size_t attribute = attributeNamed(measure.attribute, options);
-        const AttributeType type = averageType(options.attributes[attribute]);
-        mTargets.averages.push_back({attribute, type, add(name, type)});
+        const PointAttribute& attribute = averagedAttribute(measure, options);
+        const AttributeType type = averageType(attribute);
+        const auto number = static_cast<std::size_t>(&attribute - options.attributes.data());
+        mTargets.averages.push_back({number, type, add(name, type)});
         break;
     }
     case MeasureKind::kNormal:
@@ -148,35 +135,6 @@ void MeasureResults::addOne(const Measure& measure, const MeasureOptions& option
         mTargets.nonfinite = addGroup(name);
         break;
     }
-}
-
-std::uint64_t MeasureResults::bytesEach(const std::vector<Measure>& measures, const MeasureOptions& options)
-{
-    std::uint64_t bytes = 0;
-    for (const Measure& measure : measures) {
-        switch (measure.kind) {
-        case MeasureKind::kAverage:
-            bytes +=
-                attributeBytes(averageType(options.attributes[attributeNamed(measure.attribute, options)]));
-            break;
-        case MeasureKind::kPca:
-            bytes += attributeBytes(AttributeType::kVec3s) + attributeBytes(AttributeType::kMat3s) +
-                     attributeBytes(AttributeType::kVec3d) + 1;
-            break;
-        case MeasureKind::kNormal:
-        case MeasureKind::kEigenvalues:
-            bytes += attributeBytes(AttributeType::kVec3s);
-            break;
-        case MeasureKind::kIsolated:
-        case MeasureKind::kNonfinite:
-            bytes += 1;
-            break;
-        default:
-            bytes += sizeof(std::int64_t);
-            break;
-        }
-    }
-    return bytes;
 }
 
 } // namespace vdb_nns

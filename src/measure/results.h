@@ -58,9 +58,6 @@ public:
     const MeasureTargets& targets() const { return mTargets; }
     PointValues take() { return std::move(mValues); }
 
-    // Bytes a query of what would be made.
-    static std::uint64_t bytesEach(const std::vector<Measure>& measures, const MeasureOptions& options);
-
 private:
     // Adds an attribute whose bytes are 0.
     void* add(const std::string& name, AttributeType type);

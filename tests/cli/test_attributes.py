@@ -41,8 +41,8 @@ class Outputs(MeasureCase):
         report = self.report("search", source, *args, "--attributes", ",".join(ADDED), "-o", out)
         added = [one for each in ADDED.values() for one in each]
         self.assertEqual(named(report["measures"]["attributes"]), added)
-        self.assertEqual(report["measures"], {"attributes": report["measures"]["attributes"], "groups": GROUPS, "skipped_values": {},
-                                              "voxel_size": None, "largest_rounding": None})
+        self.assertEqual(report["measures"], {"attributes": report["measures"]["attributes"], "groups": GROUPS, "skipped_values": {}, "kept": [],
+                                              "left_out": [], "voxel_size": None, "largest_rounding": None})
         before, after = (self.report("info", path, "-g", "points") for path in (source, out))
         self.assertEqual(named(after["attributes"]), named(before["attributes"]) + added)
         self.assertEqual(sorted(after["groups"]), sorted(before["groups"] + GROUPS))
@@ -99,8 +99,9 @@ class Outputs(MeasureCase):
                 np.testing.assert_array_equal(found[prefix + name], array, name)
             names = [name for name, _ in named(self.report("info", out)["attributes"])]
             self.assertEqual(sorted(names), ["P", "nns_density", "pws", "stretch", "xform"])
-        # Arrays and points of other formats have no such names.
-        self.succeeds("search", target, "--attributes", "pca", "--attributes-output", self.path("a.npz"), "-o", self.path("a.ply"), "-q")
+        # Arrays have no such names, nor have points of other formats that they do not come along into.
+        self.succeeds("search", target, "--attributes", "pca", "--attributes-output", self.path("a.npz"), "-o", self.path("a.ply"), "-q",
+                      "--keep", "none")
 
     def test_an_attribute_of_another_type_is_replaced(self):
         source = self.npz("x.npz", self.points, {"nns_density": np.ones((600, 3), np.float32), "nns_count": np.arange(600.0)})
@@ -215,6 +216,91 @@ class Outputs(MeasureCase):
             np.testing.assert_array_equal(found["nns_" + name], array)
         self.fails(2, "search", self.array, *args, "--voxel-size", 1, "-o", self.path("b.vdb"), says="--voxel-size")
 
+    def kept(self, source, out, *args):
+        """Names and types of what came along, what was left out, and what the file then holds beside the measure."""
+        report = self.report("search", source, "-r", 0.1, "--attributes", "density", "-o", out, "-f", *args)
+        found = self.contents(out)
+        self.assertIn("nns_density", found)
+        kept = named(report["measures"]["kept"])
+        self.assertEqual(set(found) - {"positions", "nns_density", "id"}, {name for name, _ in kept} - {"id"})
+        return kept, report["measures"]["left_out"], found
+
+    def test_values_of_the_input_come_along(self):
+        values = values_of(600)
+        source = self.npz("v.npz", self.points, values)
+        types = {"heat": "float", "work": "double", "v": "vec3s", "vd": "vec3d", "kind": "int32", "big": "int64", "mass": "double",
+                 "fluid": "group", "wall": "group"}
+        for args, names in (([], list(types)), (["--keep", "all"], list(types)), (["--keep", "none"], []),
+                            (["--keep", "mass, fluid,kind"], ["kind", "mass", "fluid"])):
+            kept, left_out, found = self.kept(source, self.path("x.vdb"), *args)
+            self.assertEqual((kept, left_out), ([(name, types[name]) for name in names], []))
+            for name in names:
+                np.testing.assert_array_equal(found[name], values[name][found["id"]], name)
+            kept, left_out, found = self.kept(source, self.path("x.ply"), "--keep", "none")
+            self.assertEqual((kept, left_out), ([], []))
+        # Properties are the file's, then the measures; groups become properties too.
+        self.succeeds("search", source, "-r", 0.1, "--attributes", "density,isolated", "-o", self.path("x.ply"), "-f", "-q",
+                      "--keep", "v,fluid,mass")
+        rows = read_ply(self.path("x.ply"))
+        self.assertEqual(list(rows.dtype.names), ["x", "y", "z", "v_x", "v_y", "v_z", "mass", "nns_density", "fluid", "nns_isolated"])
+        np.testing.assert_array_equal(rows["fluid"], values["fluid"])
+        np.testing.assert_array_equal(rows["v_y"], values["v"][:, 1])
+        # From a .ply, and from a .vdb into a .ply, with those of its groups.
+        kept, _, found = self.kept(self.path("x.ply"), self.path("y.vdb"), "--prefix", "nns_", "--keep", "mass,v_y")
+        self.assertEqual(kept, [("v_y", "float"), ("mass", "double")])
+        np.testing.assert_array_equal(found["mass"], values["mass"][found["id"]])
+        grid = self.fixture("named_values.vdb")
+        before = self.contents(grid, "-g", "points")
+        self.succeeds("search", grid, "-g", "points", "-r", 0.1, "-o", self.path("z.ply"), "-q")
+        rows = read_ply(self.path("z.ply"))
+        for name in ("mass", "id", "even"):
+            np.testing.assert_array_equal(rows[name], before[name], name)
+        text = self.succeeds("search", source, "-r", 0.1, "-o", self.path("x.ply"), "-f", "--keep", "mass,fluid").out
+        self.assertRegex(text, r"(?m)^kept +mass \(double\)\nkept +fluid \(group\)$")
+
+    def test_what_comes_along_into_several_files(self):
+        """Each file has what it can; of the queries where they are another file."""
+        source = self.npz("v.npz", self.points, {"a-b": np.arange(600.0), "id": np.arange(600), "mass": np.ones(600), "s": np.zeros(600, "S3")})
+        outs = ["-o", self.path("x.vdb"), "-o", self.path("x.ply"), "--attributes-output", self.path("x.npz")]
+        done = self.succeeds("search", source, "-r", 0.1, "--attributes", "density", *outs)
+        for name in ("a-b is a name that OpenVDB", "id is the name of the attribute", "s "):
+            self.assertIn("warning: left out: " + name, done.err)
+        self.assertRegex(done.out, r"left out +a-b ")
+        self.assertEqual(set(self.contents(self.path("x.vdb"))), {"positions", "id", "mass", "nns_density"})
+        self.assertEqual(read_ply(self.path("x.ply")).dtype.names, ("x", "y", "z", "a-b", "id", "mass", "nns_density"))
+        with np.load(self.path("x.npz")) as file:
+            self.assertEqual(file.files, ["nns_density"])
+        self.assertNotIn("left out", self.succeeds("search", source, "-r", 0.1, *outs[:2], "-f", "--keep", "none").err)
+        self.succeeds("search", self.array, "-r", 0.1, "--queries", source, "-o", self.path("q.ply"), "--keep", "mass", "-q")
+        self.assertIn("mass", read_ply(self.path("q.ply")).dtype.names)
+        for out, keep, code, says in (("y.vdb", "a-b", 2, "'a-b' is a name that OpenVDB"), ("y.vdb", "id", 2, "'id'"), ("y.ply", "s", 3, "'s'"),
+                                      ("y.ply", "mas", 2, "did you mean 'mass'?"), ("y.ply", "mass,,id", 2, "empty name"), ("y.ply", "", 2, "--keep")):
+            self.fails(code, "search", source, "-r", 0.1, "-o", self.path(out), "--keep", keep, says=says)
+        self.fails(2, "search", self.scene(), "-o", self.path("y.vdb"), "--keep", "P", says="--keep is about")
+
+    def test_integers_that_a_ply_cannot_hold(self):
+        source = self.npz("v.npz", self.points, {"big": np.arange(600) + 2**53, "fits": np.full(600, 2**53), "small": -np.arange(600)})
+        done = self.succeeds("search", source, "-r", 0.1, "-o", self.path("x.ply"), "-o", self.path("x.vdb"))
+        self.assertIn("warning: left out: big has integers beyond 2^53", done.err)
+        self.assertEqual(read_ply(self.path("x.ply")).dtype.names, ("x", "y", "z", "fits", "small", "nns_count"))
+        self.assertIn("big", self.contents(self.path("x.vdb")))
+        self.fails(3, "search", source, "-r", 0.1, "-o", self.path("lists.npz"), "-o", self.path("y.ply"), "--keep", "big",
+                   says=["'big' has integers beyond 2^53", "--keep"])
+
+    def test_what_comes_along_gives_way_to_measures(self):
+        once, again = self.path("once.ply"), self.path("again.ply")
+        self.succeeds("search", self.array, "-r", 0.1, "--attributes", "density,normal,isolated", "-o", once, "-q")
+        for names, word in (("density", "'nns_density' exists"), ("normal", "'nns_normal_x' exists"), ("isolated", "'nns_isolated' exists")):
+            self.fails(2, "search", once, "-r", 0.2, "--attributes", names, "-o", again, says=[word, "--force", "--prefix", "--keep"])
+        self.succeeds("search", once, "-r", 0.2, "--attributes", "density,normal", "-o", again, "-q", "-f")
+        rows, expected = read_ply(again), self.measured(self.array, ["density", "normal"], "-r", 0.2)[0]
+        self.assertEqual(sorted(rows.dtype.names), sorted(read_ply(once).dtype.names))
+        np.testing.assert_array_equal(rows["nns_density"], expected["density"])
+        np.testing.assert_array_equal(rows["nns_normal_z"], expected["normal"][:, 2])
+        np.testing.assert_array_equal(rows["nns_isolated"], read_ply(once)["nns_isolated"])
+        self.succeeds("search", once, "-r", 0.2, "-o", again, "--keep", "nns_density", "-q", "-f")
+        self.assertEqual(read_ply(again).dtype.names, ("x", "y", "z", "nns_density", "nns_count"))
+
     def test_several_outputs_at_once(self):
         outs = [self.path(name) for name in ("a.npz", "b.vdb", "c.ply", "d.npz")]
         report = self.report("search", self.array, "-r", 0.2, "--attributes", "density", "--attributes-output", outs[3],
@@ -269,6 +355,13 @@ class Refused(MeasureCase):
             self.refused(3, input, "density", "--mass-attribute", "bad", says=["-0.5", "2 of 200", "negative"])
             self.refused(3, input, "density", "--mass-attribute", "nan", says=["nan", "3 of 200"])
         self.refused(2, self.npy("x.npy", self.points), "average:v", says=["no values named 'v'", "a .vdb, a .ply and an .npz"])
+        # Positions are none.
+        ply = self.path("in.ply")
+        self.succeeds("convert", self.array, "-o", ply, "--keep", "mass", "-q")
+        for input, name in ((self.vdb, "P"), (ply, "y"), (self.array, "positions")):
+            self.refused(2, input, "average:" + name,
+                         says=[f"'{name}' is the position", "averages are made of float", "pws of pca with --pca-average 1"])
+            self.refused(2, input, "density", "--mass-attribute", name, says=[f"'{name}' is the position", "masses are one number"])
         # Attributes are those of IN, not of other queries.
         self.refused(2, self.npy("x.npy", self.points), "average:mass", "--queries", self.array, says="no values named 'mass'")
 

@@ -261,7 +261,7 @@ class Roles(MeasureCase):
         values = {"mass": rows["mass"], "heat": rows["heat"], "kind": rows["kind"], "v_y": rows["v_y"]}
         out = self.path("out.ply")
         self.succeeds("search", self.path("in.ply"), "-r", 0.3, "--attributes", "density,average:heat,average:kind,average:v_y,normal,isolated,pca",
-                      "--mass-attribute", "mass", "--prefix", "", "-o", out, "-q", "--pca-threshold", 5)
+                      "--mass-attribute", "mass", "--prefix", "", "-o", out, "-q", "--pca-threshold", 5, "--keep", "none")
         rows = read_ply(out)
         self.assertEqual(rows.dtype.names, ("x", "y", "z", "density", "average:heat", "average:kind", "average:v_y", "nx", "ny", "nz",
                                             *["stretch_" + a for a in "xyz"], *["xform_" + a + b for a in "xyz" for b in "xyz"],

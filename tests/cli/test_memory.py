@@ -181,6 +181,29 @@ class Bound(CliCase):
                         self.assertEqual(os.path.getsize(free), os.path.getsize(output[1]))
         self.assertGreater(done, 3)
 
+    def test_values_that_come_along(self):
+        """So do values of the input, and a new grid of its points."""
+        rng = np.random.default_rng(1)
+        path, count = self.path("values.npz"), 1500000
+        np.savez(path, positions=(rng.random((count, 3)) * 20).astype(np.float32), v=rng.random((count, 3)).astype(np.float32),
+                 w=rng.random((count, 3)), fluid=rng.random(count) < 0.5)
+        done = {}
+        for keep in ("none", "all"):
+            for output in ("x.vdb", "x.ply"):
+                for megabytes in (140, 200, 260, 320, 380):
+                    with self.subTest(keep=keep, output=output, megabytes=megabytes):
+                        result = run("search", path, "--array", "positions", "-r", "0.2", "-o", self.path(output), "-f", "--keep", keep,
+                                     "-T", "2", "--host-memory", f"{megabytes}MB", "-q", "--json", self.path("report.json"))
+                        self.assertIn(result.code, (0, 4), result.err)
+                        if result.code == 4:
+                            self.assertIn("--host-memory", result.err)
+                            continue
+                        done.setdefault((keep, output), megabytes)
+                        with open(self.path("report.json")) as file:
+                            self.assertLessEqual(json.load(file)["memory"]["peak_rss_bytes"], megabytes * MB)
+        self.assertEqual(len(done), 4, done)
+        self.assertLess(done["none", "x.vdb"], done["all", "x.vdb"])
+
     def test_interrupted_by_a_full_disk(self):
         path = self.scene("block", 300000)
         os.mkdir(self.path("out"))

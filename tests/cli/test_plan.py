@@ -4,10 +4,12 @@ import os
 import re
 import xml.etree.ElementTree as ElementTree
 
+import numpy as np
+
 from cli_case import CliCase, run
 
 PLAN_KEYS = ["in_core", "encoding", "blocks", "largest_block_cells", "device_particles", "cpu_particles",
-             "boundary_leaves", "estimated_pairs", "estimated_bytes", "candidate_tests", "boundary", "tree_nodes",
+             "boundary_leaves", "estimated_pairs", "estimated_bytes", "measure_bytes", "candidate_tests", "boundary", "tree_nodes",
              "tree_levels", "predicted_seconds", "lower_bound_seconds", "blocks_list"]
 BLOCK_KEYS = ["cells", "origin", "leaves", "particles", "halo_particles", "boundary_queries", "expected_pairs",
               "candidate_tests", "bytes", "executor", "start_seconds", "end_seconds"]
@@ -202,6 +204,73 @@ class Budgets(PlanCase):
                 for spec in ("rate=1Gtests/s", "rate=2G", "gtx780", "h200")]
         self.assertEqual(ends, sorted(ends, reverse=True))
         self.assertEqual(len(set(ends)), 4)
+
+
+class Measures(PlanCase):
+    """What measures take is what a search needs for them."""
+
+    def points_alone(self, path, *args):
+        """What the search has beside grid, counts and measures, by its own words."""
+        err = self.fails(4, "search", path, *args, "--host-memory", "60MB", says="points alone need").err
+        return int(re.search("points alone need ([0-9]+) bytes", err)[1])
+
+    def test_bytes(self):
+        path, count = self.scene(), 2000
+        none = self.plan(path)["plan"]
+        self.assertIsNone(none["measure_bytes"])
+        for names, each in (("count", 0), ("density", 8 + 16), ("normal,isolated", 12 + 1 + 16), ("density,pca", 8 + 73 + 16)):
+            plan = self.plan(path, "--attributes", names)["plan"]
+            self.assertEqual(plan["measure_bytes"], each * count, names)
+            self.assertEqual(plan["estimated_bytes"], none["estimated_bytes"] + each * count)
+            written = self.plan(path, "--attributes", names, "-o", self.path("x.vdb"), "-o", self.path("x.npz"))["plan"]
+            self.assertGreaterEqual(written["measure_bytes"], plan["measure_bytes"] + (16 << 20) + 8 * count)
+            others = self.plan(path, "--attributes", names, "-o", self.path("x.ply"), "-o", self.path("x.npz"))["plan"]
+            self.assertEqual(others, plan)
+        self.assertEqual(sorted(os.listdir(self.folder)), ["block.vdb"])
+        values = {"mass": np.ones(count), "v": np.ones((count, 3), np.float32), "kind": np.ones(count, np.int32)}
+        np.savez(self.path("v.npz"), positions=np.random.default_rng(1).random((count, 3)), **values)
+        args = (self.path("v.npz"), "-r", "0.1")
+        # Positions of doubles, a mass, an attribute as it is read, and as it is summed.
+        plan = self.plan(*args, "--attributes", "density,average:v", "--mass-attribute", "mass")["plan"]
+        self.assertEqual(plan["measure_bytes"], (8 + 12 + 32 + 8 + 12 + 32) * count)
+        # A new grid: places, numbers and P beside the values.
+        new, plain = (self.plan(*args, "--attributes", "density", *out)["plan"] for out in (["-o", self.path("x.vdb")], []))
+        self.assertEqual(new["measure_bytes"], plain["measure_bytes"] + (16 << 20) + (4 + 8 + 36) * count)
+        queries = self.report("plan", *args, "--attributes", "average:kind", "--queries", path)["plan"]
+        self.assertEqual(queries["measure_bytes"], 4 * count + (4 + 8) * count + 32 * 2 * count)
+        text = self.succeeds("plan", path, "--attributes", "density,pca").out
+        self.assertRegex(text, r"(?m)^measures +[0-9.]+ MiB of host memory besides$")
+        self.assertNotIn("measures ", self.succeeds("plan", path).out)
+        on_device = self.plan(path, "--attributes", "density", "--device", "sim", "--encoding", "index")["plan"]
+        self.assertEqual(on_device["estimated_bytes"], on_device["blocks_list"][0]["bytes"] + 24 * count)
+
+    def test_a_search_needs_them(self):
+        path, count, names = self.scene("block", 400000), 400000, "density,pca,normal"
+        for output in (["--attributes-output", self.path("x.npz")], ["-o", self.path("x.vdb")]):
+            planned = self.plan(path, "--attributes", names, *(output if output[0] == "-o" else []))
+            search = [path, "--attributes", names, *output, "-T", "2", "-f"]
+            measures, grid = planned["plan"]["measure_bytes"], planned["grid"]["bytes"]
+            need = self.points_alone(*search) + grid + 8 * count + 16 * planned["grid"]["leaves"]
+            with self.subTest(output):
+                err = self.fails(4, "search", *search, "--host-memory", need + measures * 9 // 10, says="measures need").err
+                if output[0] != "-o":
+                    self.assertEqual(int(re.search("measures need ([0-9]+) bytes", err)[1]), grid + measures)
+                bound = need + measures * 11 // 10
+                self.assertLessEqual(self.report("search", *search, "-q", "--host-memory", bound)["memory"]["peak_rss_bytes"], bound)
+
+    def test_flags(self):
+        missing = self.path("missing.vdb")
+        for args, says in ((["--attributes", "densty"], "did you mean 'density'?"), (["--kernel", "poly6"], "--kernel is about"),
+                           (["--mass-attribute", "m"], "--mass-attribute is about"), (["--min-neighbors", "3"], "--min-neighbors is about"),
+                           (["-o", self.path("x.vdb")], "name some by --attributes"),
+                           (["--attributes", "density", "-o", self.path("x.txt")], "use .npz for lists")):
+            self.fails(2, "plan", missing, *args, says=says)
+        path = self.scene()
+        self.fails(2, "plan", path, "--attributes", "average:vv", says="'vv'")
+        self.fails(2, "plan", path, "--attributes", "average:P", says="'P' is the position")
+        kept = self.text("x.vdb", "kept")
+        self.plan(path, "--attributes", "density", "-o", kept)
+        self.assertEqual(self.bytes(kept), b"kept")
 
 
 class Flags(PlanCase):

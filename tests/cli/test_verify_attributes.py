@@ -187,9 +187,9 @@ class VerifyAttributes(CliCase):
         self.assertTrue(os.path.exists(lists))
 
     def test_the_table_of_refused_flags(self):
-        """docs/cli.md says which flags of measures do not go together: search and verify refuse each row by its last flag."""
+        """docs/cli.md says which flags of measures do not go together: search, plan and verify refuse each row by its last flag."""
         with open(os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "docs", "cli.md")) as file:
-            table = re.search(r"<!-- refused flags of search and verify -->(.*?)<!-- end", file.read(), re.S).group(1)
+            table = re.search(r"<!-- refused flags of search, plan and verify -->(.*?)<!-- end", file.read(), re.S).group(1)
         rows = [line.split("|")[1] for line in table.strip().splitlines()[2:]]
         self.assertGreater(len(rows), 15)
         for row in rows:
@@ -201,6 +201,7 @@ class VerifyAttributes(CliCase):
                     says = "queries or groups"
                 missing = self.path("missing.vdb")
                 self.fails(2, "search", missing, "-r", RADIUS, "-o", self.path("out.vdb"), *args, says=says)
+                self.fails(2, "plan", missing, "-r", RADIUS, *args, says=says)
                 self.fails(2, "verify", missing, self.path("result.vdb"), "-r", RADIUS, *args, says=says)
 
 

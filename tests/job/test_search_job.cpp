@@ -291,9 +291,54 @@ TEST(SearchJob, PlansSets)
         const double found = static_cast<double>(lists.statistics().pairs);
         EXPECT_NEAR(planned.plan.total.expectedPairs / found, 1, 0.1);
         EXPECT_GT(planned.plan.countedQueries, 0u);
+        const std::uint64_t ofRadii = radius.isOne() ? 0 : radii.size() * sizeof(double);
+        EXPECT_EQ(planned.plan.everything.up, planned.sets.bytes() + ofRadii);
+        EXPECT_EQ(planned.measureBytes, 0u);
         options.device = chooseDevices("sim", 2);
         EXPECT_THROW(engine.planJob(view, queries, radius, options), InvalidInput);
     }
+}
+
+// What a plan says that measures take is what a job needs beside the process, grid and counts: a tenth less is refused, a tenth
+// more is enough.
+void checkMeasureBytes()
+{
+    const Scene scene = sceneOf("block", 400000);
+    const ParticleView view = viewOf(scene);
+    const std::uint64_t n = view.size();
+    const std::vector<double> masses(n, 0.5);
+    const std::vector<float> velocities(3 * n, 0.25f);
+    for (const bool isWritten : {false, true}) {
+        SCOPED_TRACE(isWritten);
+        JobOptions options = jobOn("cpu");
+        options.search.encoding = Encoding::kNone;
+        options.measures = {"density", "pca", "average:v"};
+        options.measure.masses = {masses.data(), masses.size()};
+        options.measure.attributes = {viewAttribute("v", AttributeType::kVec3s, velocities.data(), n)};
+        options.written.vdb = isWritten;
+        std::uint64_t beside = 0, measures = 0;
+        {
+            const JobPlan planned = SearchEngine().planJob(view, scene.suggestedRadius, options);
+            beside = planned.sets.bytes() + 2 * 4 * n + 16 * planned.sets.leafCount();
+            measures = planned.measureBytes;
+        }
+        // Values; positions (doubles) and velocities as they are read; masses and velocities as they are given.
+        const std::uint64_t values = 8 + (12 + 36 + 24 + 1) + 12, given = 8 + 12;
+        const std::uint64_t copies = isWritten ? (16 << 20) + (values + 4) * n : 0;
+        EXPECT_EQ(measures, (values + 32 + 32 + given) * n + copies);
+        measures -= given * n; // which the process has already
+        JobReport report;
+        options.search.hostMemoryBytes = residentAnd(beside + measures / 10 * 9);
+        EXPECT_THROW(findNeighbors(view, scene.suggestedRadius, options, report), CapacityError);
+        options.search.hostMemoryBytes = residentAnd(beside + measures / 10 * 11);
+        findNeighbors(view, scene.suggestedRadius, options, report);
+        EXPECT_EQ(report.measured.attributes.size(), 5u);
+    }
+}
+
+TEST(SearchJob, PlansWhatMeasuresTake)
+{
+    tbb::task_arena(2).execute(checkMeasureBytes);
 }
 
 // Measures are the same whether they are made in the pass that counts or in one of their own, after lists or after devices.

@@ -119,8 +119,7 @@ std::string convertText(const ConvertFlags& flags, const ConvertReport& report)
                                  ? format("at most %.3g", done.written.largestRounding)
                                  : "none");
     if (done.hasId) text += line("added", "id (the number in the input)");
-    for (const Conversion::Kept& kept : done.kept) text += line("kept", kept.name + " (" + kept.type + ")");
-    for (const Conversion::LeftOut& left : done.leftOut) text += line("left out", left.name + " " + left.why);
+    text += keptText(done.kept, done.leftOut);
     text += line("time", format("%.3f s", report.totalSeconds));
     text += step("read", report.readSeconds, report.totalSeconds);
     text += step("write", report.writeSeconds, report.totalSeconds);
@@ -132,8 +131,7 @@ void warn(const ConvertFlags& flags, const ConvertReport& report)
 {
     if (flags.common.quiet) return;
     const Conversion& done = report.done;
-    for (const Conversion::LeftOut& left : done.leftOut)
-        say("warning: left out: " + left.name + " " + left.why);
+    warnOfLeftOut(done.leftOut);
     if (done.written.skipped > 0)
         say("warning: " + countText(done.written.skipped) +
             " points with a NaN or infinite coordinate are left out; the attribute id tells which are there");

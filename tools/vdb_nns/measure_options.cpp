@@ -92,29 +92,6 @@ bool isAverage(const std::string& name)
     return name.compare(0, 8, "average:") == 0;
 }
 
-// The flags that are about other measures than those asked for.
-void checkUse(const MeasureFlags& flags, const std::vector<std::string>& names)
-{
-    const auto isAsked = [&](const char* name) {
-        return std::find(names.begin(), names.end(), name) != names.end();
-    };
-    const auto check = [](const std::string& flag, bool isUsed, const char* measures) {
-        if (isUsed) return;
-        throw InvalidInput(flag + " is about " + measures +
-                           "; ask for such a measure by --attributes, or leave the flag out");
-    };
-    const bool weighs = isAsked("density") || isAsked("normal") || isAsked("eigenvalues") ||
-                        std::any_of(names.begin(), names.end(), isAverage);
-    for (const std::string& flag : flags.given) {
-        if (flag == "--kernel") check(flag, weighs, "density, average, normal and eigenvalues");
-        if (flag == "--mass") check(flag, isAsked("density"), "density");
-        if (flag.compare(0, 6, "--pca-") == 0) check(flag, isAsked("pca"), "pca");
-    }
-    if (!flags.massAttribute.empty()) check("--mass-attribute", isAsked("density"), "density");
-    if (!flags.minNeighbors.empty())
-        check("--min-neighbors", isAsked("cluster") || isAsked("cluster_size"), "cluster and cluster_size");
-}
-
 void checkClusters(const std::vector<std::string>& names, const QueryPlan& query)
 {
     for (const std::string& name : names) {
@@ -132,11 +109,32 @@ void checkClusters(const std::vector<std::string>& names, const QueryPlan& query
 
 // ---- values of the candidates -------------------------------------------------------------------------------------
 
+// What a message says that these can be.
+constexpr const char* kMassTypes = "one number a point: float, double, int32 or int64";
+constexpr const char* kAverageTypes = "float, double, int32, int64, vec3s and vec3d, one value a point";
+
+// Whether a file calls its positions so, or one of their coordinates.
+bool isPosition(const PointFileInfo& info, const std::string& name)
+{
+    if (info.format == "vdb") return name == "P";
+    if (info.format == "ply") return name == "x" || name == "y" || name == "z";
+    return info.format == "npz" && name == "positions";
+}
+
 // `flag` begins messages.
 [[noreturn]] void failMissing(const PointFile& file, const std::vector<StoredValue>& list,
                               const std::string& name, const std::string& flag)
 {
     const PointFileInfo& info = file.info();
+    if (isPosition(info, name)) {
+        const bool isMass = flag == "--mass-attribute";
+        throw InvalidInput(flag + ": " + info.path + ": '" + name + "' is the position, which is no " +
+                           (isMass
+                                ? std::string("mass; masses are ") + kMassTypes
+                                : std::string("attribute to average; averages are made of ") + kAverageTypes +
+                                      ". The weighted mean of the positions is pws of pca with "
+                                      "--pca-average 1"));
+    }
     if (info.format == "vdb" || info.format == "ply")
         file.readScalars(name); // whose message knows the nearest name
     if (list.empty())
@@ -214,7 +212,7 @@ std::vector<double> readMasses(const PointFile& file, const std::vector<StoredVa
     const StoredValue value = findValue(file, list, name, "--mass-attribute");
     if (value.isGroup || !value.readAs || !isScalar(*value.readAs)) {
         throw InputError("--mass-attribute: " + file.info().path + ": '" + name + "' has type " + value.type +
-                         "; masses are one number a point: float, double, int32 or int64");
+                         "; masses are " + kMassTypes);
     }
     std::vector<double> masses = asDoubles(file.readValues({value}, progress).attributes.at(0));
     checkMasses(file, name, masses);
@@ -228,10 +226,8 @@ std::vector<PointAttribute> readAveraged(const PointFile& file, const std::vecto
     for (const std::string& name : names) {
         const StoredValue value = findValue(file, list, name, "--attributes average:" + name);
         if (value.isGroup || !value.readAs || *value.readAs == AttributeType::kMat3s) {
-            throw InputError(
-                "--attributes average:" + name + ": " + file.info().path + ": '" + name + "' has type " +
-                value.type +
-                "; averages are made of float, double, int32, int64, vec3s and vec3d, one value a point");
+            throw InputError("--attributes average:" + name + ": " + file.info().path + ": '" + name +
+                             "' has type " + value.type + "; averages are made of " + kAverageTypes);
         }
         chosen.push_back(value);
     }
@@ -240,7 +236,7 @@ std::vector<PointAttribute> readAveraged(const PointFile& file, const std::vecto
 
 } // namespace
 
-void addMeasureFlags(CLI::App& app, MeasureFlags& flags)
+void addMeasureFlags(CLI::App& app, MeasureFlags& flags, const std::string& without)
 {
     const auto add = [&](const std::string& name, std::string& target, const char* type,
                          const std::string& help) {
@@ -258,7 +254,7 @@ void addMeasureFlags(CLI::App& app, MeasureFlags& flags)
     CLI::Option* const attributes =
         app.add_option("--attributes", flags.attributes,
                        "measures, which become attributes, separated by commas: " + names +
-                           (flags.attributes.empty() ? "; default: those that the result has" : ""))
+                           (without.empty() ? "" : "; default: " + without))
             ->type_name("LIST")
             ->check(notEmpty());
     if (!flags.attributes.empty()) attributes->capture_default_str();
@@ -287,6 +283,28 @@ void addMeasureFlags(CLI::App& app, MeasureFlags& flags)
                "how far pca moves points to the mean of their neighbors, 0 to 1");
 }
 
+void checkMeasureUse(const MeasureFlags& flags, const std::vector<std::string>& names)
+{
+    const auto isAsked = [&](const char* name) {
+        return std::find(names.begin(), names.end(), name) != names.end();
+    };
+    const auto check = [](const std::string& flag, bool isUsed, const char* measures) {
+        if (isUsed) return;
+        throw InvalidInput(flag + " is about " + measures +
+                           "; ask for such a measure by --attributes, or leave the flag out");
+    };
+    const bool weighs = isAsked("density") || isAsked("normal") || isAsked("eigenvalues") ||
+                        std::any_of(names.begin(), names.end(), isAverage);
+    for (const std::string& flag : flags.given) {
+        if (flag == "--kernel") check(flag, weighs, "density, average, normal and eigenvalues");
+        if (flag == "--mass") check(flag, isAsked("density"), "density");
+        if (flag.compare(0, 6, "--pca-") == 0) check(flag, isAsked("pca"), "pca");
+    }
+    if (!flags.massAttribute.empty()) check("--mass-attribute", isAsked("density"), "density");
+    if (!flags.minNeighbors.empty())
+        check("--min-neighbors", isAsked("cluster") || isAsked("cluster_size"), "cluster and cluster_size");
+}
+
 MeasurePlan checkMeasureFlags(const MeasureFlags& flags, const QueryPlan& query)
 {
     return checkMeasureFlags(flags, splitNames(flags.attributes), query);
@@ -311,7 +329,7 @@ MeasurePlan checkMeasureFlags(const MeasureFlags& flags, const std::vector<std::
                            "point has its own; leave one out");
     if (names.empty()) return plan;
     plan.results = checkMeasures(names, plan.options);
-    checkUse(flags, names);
+    checkMeasureUse(flags, names);
     checkClusters(names, query);
     return plan;
 }

@@ -12,14 +12,15 @@
 namespace vdb_nns::cli {
 
 struct MeasureFlags {
-    /// Names with commas between; what stands here before addMeasureFlags() is the default. Empty: those that a result has.
+    /// Names with commas between; what stands here before addMeasureFlags() is the default.
     std::string attributes;
     std::string prefix = "nns_", kernel = "cubic", mass = "1", massAttribute, minNeighbors;
     std::string pcaAnisotropy = "0.25", pcaStretch = "1", pcaThreshold = "20", pcaAverage = "1";
     /// Those of the flags with a default value that are there, be it with that value: "--kernel", "--mass", ...
     std::vector<std::string> given;
 };
-void addMeasureFlags(CLI::App& app, MeasureFlags& flags);
+/// @param without what is taken without --attributes, where that has no default
+void addMeasureFlags(CLI::App& app, MeasureFlags& flags, const std::string& without = {});
 
 /// What the flags ask for.
 struct MeasurePlan {
@@ -39,6 +40,10 @@ MeasurePlan checkMeasureFlags(const MeasureFlags& flags, const QueryPlan& query)
 /// The same with other names than those of the flags.
 MeasurePlan checkMeasureFlags(const MeasureFlags& flags, const std::vector<std::string>& names,
                               const QueryPlan& query);
+
+/// Refuses flags about other measures than those of the names.
+/// @throws InvalidInput
+void checkMeasureUse(const MeasureFlags& flags, const std::vector<std::string>& names);
 
 /// Values of the candidates that measures take.
 struct MeasureInput {

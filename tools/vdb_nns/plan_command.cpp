@@ -1,9 +1,11 @@
 // vdb_nns plan: a dry run of a search: grid, estimate, workload tree and schedule, drawn and reported.
+#include "attribute_output.h"
 #include "cli_options.h"
 #include "command.h"
 #include "device_options.h"
 #include "exit_codes.h"
 #include "machine.h"
+#include "measure_options.h"
 #include "plan_svg.h"
 #include "point_input.h"
 #include "query_options.h"
@@ -28,10 +30,19 @@ struct PlanFlags {
     CommonFlags common;
     InputFlags input;
     QueryFlags query;
+    MeasureFlags measure;
     EngineFlags engine;
     DeviceFlags device;
+    std::vector<std::string> outputs;
     std::string encoding = "mask", nonfinite = "skip", svg;
     bool givesEncoding = false; // whether the flag is there
+};
+
+// Flags after all that can be checked before reading.
+struct PlannedSearch {
+    JobOptions job;
+    QueryPlan query;
+    MeasurePlan measure;
 };
 
 void addFlags(CLI::App& app, PlanFlags& flags)
@@ -39,6 +50,15 @@ void addFlags(CLI::App& app, PlanFlags& flags)
     app.add_option("IN", flags.input.path, kInputHelp)->required()->check(notEmpty());
     addInputFlags(app, flags.input, true);
     addQueryFlags(app, flags.query);
+    addMeasureFlags(app, flags.measure, "none");
+    app.add_option(
+           "-o,--output", flags.outputs,
+           "an output of the search (.npz, .vdb, .ply), for the memory that a .vdb of the measures takes to "
+           "be written; nothing is written; may be repeated")
+        ->type_name("OUT")
+        ->type_size(1)
+        ->allow_extra_args(false)
+        ->check(notEmpty());
     addDeviceFlags(app, flags.device);
     addEngineFlags(app, flags.engine);
     app.add_option("--encoding", flags.encoding, "how lists would be held: index or mask")
@@ -59,12 +79,29 @@ void addFlags(CLI::App& app, PlanFlags& flags)
             "threads that make the plan; 0: all. The plan itself is for all threads of the machine");
 }
 
-// Everything that can be wrong without reading a byte.
-SearchOptions checkFlags(const PlanFlags& flags, QueryPlan& query)
+// As a search takes them: counts come from the lists.
+void checkMeasures(const PlanFlags& flags, PlannedSearch& plan)
 {
+    plan.measure = checkMeasureFlags(flags.measure, plan.query);
+    const std::string& rows = flags.query.queries.empty() ? flags.input.path : flags.query.queries;
+    plan.job.written = writtenKinds(flags.outputs, rows);
+    if (plan.measure.names.empty()) {
+        checkMeasureUse(flags.measure, {});
+        if (!flags.outputs.empty())
+            throw InvalidInput(
+                "-o says where measures would go, and there are none: name some by --attributes");
+    }
+    if (!plan.measure.isCountAlone()) plan.job.measures = plan.measure.names;
+}
+
+// Everything that can be wrong without reading a byte.
+PlannedSearch checkFlags(const PlanFlags& flags)
+{
+    PlannedSearch plan;
     if (!flags.input.radius.empty()) parsePositive(flags.input.radius, "--radius");
-    query = checkQueryFlags(flags.query, flags.input);
-    SearchOptions options = searchOptions(flags.engine, nullptr);
+    const QueryPlan& query = plan.query = checkQueryFlags(flags.query, flags.input);
+    checkMeasures(flags, plan);
+    SearchOptions& options = plan.job.search = searchOptions(flags.engine, nullptr);
     options.nearest = query.nearest;
     options.includeSelf = query.includeSelf;
     options.encoding = flags.encoding == "index" ? Encoding::kIndex : Encoding::kMask;
@@ -83,7 +120,7 @@ SearchOptions checkFlags(const PlanFlags& flags, QueryPlan& query)
     if (!flags.svg.empty()) checkNotInput(flags.svg, inputs);
     if (!flags.svg.empty()) outputs.push_back(flags.svg);
     checkOutputs(outputs, inputs, flags.common);
-    return options;
+    return plan;
 }
 
 void fillReport(const SearchSets& sets, const SearchOptions& options, SearchReport& report)
@@ -112,9 +149,10 @@ int plannedThreads()
     return tbb::info::default_concurrency();
 }
 
-int planFile(const PlanFlags& flags, const QueryPlan& query, JobOptions options, int threads,
-             Session& session)
+int planFile(const PlanFlags& flags, const PlannedSearch& plan, int threads, Session& session)
 {
+    const QueryPlan& query = plan.query;
+    JobOptions options = plan.job;
     const Stopwatch total;
     ProgressPrinter progress(progressMode(flags.common));
     SearchReport report;
@@ -124,6 +162,8 @@ int planFile(const PlanFlags& flags, const QueryPlan& query, JobOptions options,
                            options.search.hostMemoryBytes, query.hasRadii};
     const QueryInput input =
         readQuerySets(flags.input, flags.query, query, needs, {progress, 0, 0.4}, session, report);
+    const MeasureInput measured = readMeasureInput(input.candidates, plan.measure, &progress);
+    options.measure = optionsOf(plan.measure, measured);
 
     SearchEngine engine;
     SearchProgress steps({progress, 0.4, 1});
@@ -135,6 +175,7 @@ int planFile(const PlanFlags& flags, const QueryPlan& query, JobOptions options,
     report.seconds.estimate = planned.plan.estimateSeconds;
     report.seconds.plan = planned.plan.planSeconds;
     report.plan = std::move(planned.plan);
+    if (!plan.measure.names.empty()) report.measureBytes = planned.measureBytes;
     fillReport(planned.sets, options.search, report);
     throwIfStopped();
     deliver(flags, planned.grid, report);
@@ -159,12 +200,10 @@ int planFile(const PlanFlags& flags, const QueryPlan& query, JobOptions options,
 int runPlanCommand(const PlanFlags& flags, Session& session)
 {
     const int wanted = threadCount(flags.common);
-    JobOptions options;
-    QueryPlan query;
-    options.search = checkFlags(flags, query);
+    PlannedSearch plan = checkFlags(flags);
     ThreadLimit threads(wanted);
-    options.device = deviceOptions(deviceFor(flags.device, query), plannedThreads());
-    return threads.run([&] { return planFile(flags, query, options, threads.count(), session); });
+    plan.job.device = deviceOptions(deviceFor(flags.device, plan.query), plannedThreads());
+    return threads.run([&] { return planFile(flags, plan, threads.count(), session); });
 }
 
 } // namespace

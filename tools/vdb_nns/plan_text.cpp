@@ -108,6 +108,8 @@ std::string planReportText(const SearchReport& report)
     text += line("needs", bytesText(plan.everything.total()) + " at once: " + bytesText(plan.everything.up) +
                               " up, " + bytesText(plan.everything.down) + " down, " +
                               encodingName(report.encoding) + " lists");
+    if (report.measureBytes)
+        text += line("measures", bytesText(*report.measureBytes) + " of host memory besides");
     text += line("tree", countText(plan.treeLevels) + " levels, " + countText(plan.treeNodes) + " nodes");
     text += line("blocks", blocksLine(plan));
     if (!schedule.inCore) text += line("boundary", boundaryModeName(schedule.boundary));

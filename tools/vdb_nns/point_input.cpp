@@ -17,8 +17,9 @@ std::uint64_t bytesForReading(std::uint64_t boundBytes)
     return boundBytes > resident ? boundBytes - resident : 1; // 0 would be no bound
 }
 
-// Reading may have taken more than it kept.
-void checkPeak(std::uint64_t boundBytes)
+} // namespace
+
+void checkReadingPeak(std::uint64_t boundBytes)
 {
     const std::uint64_t peak = peakMemoryBytes();
     if (boundBytes == 0 || peak < boundBytes) return;
@@ -27,8 +28,6 @@ void checkPeak(std::uint64_t boundBytes)
                             std::to_string(boundBytes) + ": allow more host memory",
                         peak, boundBytes);
 }
-
-} // namespace
 
 PointFile readPoints(const InputFlags& input, const PointNeeds& needs, const ProgressSpan& span,
                      Session& session, SearchReport& report)
@@ -41,7 +40,7 @@ PointFile readPoints(const InputFlags& input, const PointNeeds& needs, const Pro
         for (const std::string& note : file.notes()) say(input.path + ": " + note);
     }
     report.seconds.read = watch.seconds();
-    checkPeak(needs.hostMemoryBytes);
+    checkReadingPeak(needs.hostMemoryBytes);
     report.path = session.path = input.path;
     const bool needsRadius = input.radius.empty() && !needs.hasRadii;
     const bool needsInfo = needs.info || needs.failNonfinite || needsRadius;

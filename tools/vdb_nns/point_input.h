@@ -24,6 +24,10 @@ struct PointNeeds {
 PointFile readPoints(const InputFlags& input, const PointNeeds& needs, const ProgressSpan& span,
                      Session& session, SearchReport& report);
 
+/// Reading may have taken more than it kept.
+/// @throws CapacityError where the process has had more resident than the bound; 0: no bound
+void checkReadingPeak(std::uint64_t boundBytes);
+
 /// IN, and what the flags about queries name; fills what the report says of that too.
 /// @throws as readPoints() and readQueryInput(); CheckFailed for a bad radius or query where such points fail
 QueryInput readQuerySets(const InputFlags& inputFlags, const QueryFlags& flags, const QueryPlan& plan,

@@ -158,7 +158,8 @@ Json planJson(const SearchReport& report)
     plan["cpu_particles"] = schedule.cpuParticles;
     plan["boundary_leaves"] = schedule.boundaryLeaves;
     plan["estimated_pairs"] = report.plan->total.expectedPairs;
-    plan["estimated_bytes"] = report.plan->everything.total();
+    plan["estimated_bytes"] = report.plan->everything.total() + report.measureBytes.value_or(0);
+    if (!report.run) plan["measure_bytes"] = orNull(report.measureBytes);
     plan["boundary"] = boundaryModeName(schedule.boundary);
     plan["estimator"] = estimatorName(report.plan->estimator);
     plan["correction"] = report.plan->correction;
@@ -199,6 +200,12 @@ Json measuresJson(const WrittenMeasures& measures)
     json["skipped_values"] = Json::object();
     for (const Measured::Skipped& skipped : measures.skipped)
         json["skipped_values"][skipped.attribute] = skipped.values;
+    json["kept"] = Json::array();
+    for (const Conversion::Kept& kept : measures.kept)
+        json["kept"].push_back({{"name", kept.name}, {"type", kept.type}});
+    json["left_out"] = Json::array();
+    for (const Conversion::LeftOut& left : measures.leftOut)
+        json["left_out"].push_back({{"name", left.name}, {"why", left.why}});
     json["voxel_size"] = measures.voxelSize > 0 ? Json(measures.voxelSize) : Json(nullptr);
     json["largest_rounding"] = measures.voxelSize > 0 ? Json(measures.largestRounding) : Json(nullptr);
     return json;
@@ -436,6 +443,7 @@ std::string measuresText(const WrittenMeasures& measures)
     for (const Measured::Skipped& skipped : measures.skipped)
         text += line("skipped",
                      countText(skipped.values) + " values of " + skipped.attribute + " that are not finite");
+    text += keptText(measures.kept, measures.leftOut);
     if (measures.voxelSize > 0) text += line("voxel size", format("%.9g", measures.voxelSize));
     return text;
 }
@@ -474,6 +482,20 @@ std::string searchReportText(const SearchReport& report)
     text += timeLines(seconds);
     for (const std::string& path : report.written) text += line("written", path);
     return text;
+}
+
+std::string keptText(const std::vector<Conversion::Kept>& kept,
+                     const std::vector<Conversion::LeftOut>& leftOut)
+{
+    std::string text;
+    for (const Conversion::Kept& each : kept) text += line("kept", each.name + " (" + each.type + ")");
+    for (const Conversion::LeftOut& each : leftOut) text += line("left out", each.name + " " + each.why);
+    return text;
+}
+
+void warnOfLeftOut(const std::vector<Conversion::LeftOut>& leftOut)
+{
+    for (const Conversion::LeftOut& each : leftOut) say("warning: left out: " + each.name + " " + each.why);
 }
 
 std::string infoJson(const PointFileInfo& info)

@@ -9,6 +9,7 @@
 #include "vdb_nns/search_options.h"
 #include "vdb_nns/search_sets.h"
 #include "vdb_nns/types.h"
+#include "vdb_nns/write_points.h"
 
 #include <cstdint>
 #include <optional>
@@ -38,6 +39,8 @@ struct WrittenMeasures {
     std::vector<Attribute> attributes;
     std::vector<std::string> groups;
     std::vector<Measured::Skipped> skipped; ///< values that are not finite, of attributes that are averaged
+    std::vector<Conversion::Kept> kept;     ///< values of the input in new files of its points
+    std::vector<Conversion::LeftOut> leftOut;
     double voxelSize = 0, largestRounding = 0; ///< of a new .vdb; 0 without one
 };
 
@@ -58,9 +61,10 @@ struct SearchReport {
     bool straightToFile = false; ///< lists were not held: their rows went to the file as they came
     std::uint64_t candidateTests = 0, doublePairs = 0, exactPairs = 0;
     std::string simd;
-    std::optional<Plan> plan;             ///< empty where nothing was planned
-    std::optional<ScheduleRun> run;       ///< empty where no schedule was run
-    std::optional<ListStatistics> result; ///< empty for a dry run
+    std::optional<Plan> plan;                  ///< empty where nothing was planned
+    std::optional<std::uint64_t> measureBytes; ///< of a plan with measures: host memory that they take
+    std::optional<ScheduleRun> run;            ///< empty where no schedule was run
+    std::optional<ListStatistics> result;      ///< empty for a dry run
     std::optional<std::uint64_t> checksum;
     std::uint64_t peakBytes = 0;
     std::optional<WrittenMeasures> measures; ///< empty where none are written
@@ -90,6 +94,12 @@ BlockErrors blockErrors(const Schedule& schedule, const ScheduleRun& run);
 std::int64_t edgeCells(const Block& block, const Plan& plan);
 /// "sim:0" for the first device, "cpu" for Block::kOnCpu.
 std::string executorName(const std::vector<DeviceLimits>& devices, int executor);
+
+/// Lines of what came along into new files, and what could not.
+std::string keptText(const std::vector<Conversion::Kept>& kept,
+                     const std::vector<Conversion::LeftOut>& leftOut);
+/// What a person has to know who does not read the report.
+void warnOfLeftOut(const std::vector<Conversion::LeftOut>& leftOut);
 
 /// What is in a point file.
 std::string infoJson(const PointFileInfo& info);

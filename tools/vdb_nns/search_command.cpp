@@ -35,7 +35,8 @@ struct SearchFlags {
     MeasureFlags measure;
     EngineFlags engine;
     std::vector<std::string> outputs;
-    std::string attributesOutput, voxelSize;
+    std::string attributesOutput, voxelSize, keep = "all";
+    bool givesKeep = false; // whether the flag is there
     DeviceFlags device;
     std::string encoding, lists = "connectivity";
     std::string repeat = "1", nonfinite = "skip";
@@ -78,6 +79,14 @@ void addFlags(CLI::App& app, SearchFlags& flags)
                    "voxel edge of a .vdb of points that were none, in world units; default: the radius")
         ->type_name("SIZE")
         ->check(notEmpty());
+    app.add_option(
+           "--keep", flags.keep,
+           "attributes and groups of a .vdb, properties of a .ply, arrays of an .npz that come along into "
+           "a .ply or a new .vdb: all, none, or names separated by commas")
+        ->type_name("LIST")
+        ->check(notEmpty())
+        ->capture_default_str()
+        ->each([&flags](const std::string&) { flags.givesKeep = true; });
     addDeviceFlags(app, flags.device);
     addEngineFlags(app, flags.engine);
     app.add_option("--encoding", flags.encoding,
@@ -105,17 +114,10 @@ void addFlags(CLI::App& app, SearchFlags& flags)
 void checkOutputKinds(const SearchFlags& flags, SearchPlan& plan)
 {
     const std::string& rows = flags.query.queries.empty() ? flags.input.path : flags.query.queries;
-    bool hasNewGrid = false;
+    plan.job.written = writtenKinds(flags.outputs, rows);
+    const bool hasNewGrid = plan.job.written.newGrid;
     for (const std::string& path : flags.outputs) {
-        const std::string extension = extensionOf(path);
-        if (extension != ".npz" && extension != ".vdb" && extension != ".ply") {
-            throw InvalidInput(path + ": the extension '" + extension +
-                               "' is not known; use .npz for lists, .vdb or .ply for points with attributes");
-        }
-        plan.job.written.npz |= extension == ".npz";
-        if (extension != ".npz") plan.attributes.points.push_back(path);
-        plan.job.written.vdb |= extension == ".vdb";
-        hasNewGrid |= extension == ".vdb" && extensionOf(rows) != ".vdb";
+        if (extensionOf(path) != ".npz") plan.attributes.points.push_back(path);
     }
     plan.attributes.arrays = flags.attributesOutput;
     if (!flags.attributesOutput.empty() && extensionOf(flags.attributesOutput) != ".npz")
@@ -128,6 +130,12 @@ void checkOutputKinds(const SearchFlags& flags, SearchPlan& plan)
                 "--voxel-size is that of a new .vdb: there is none where the points come from a "
                 ".vdb, whose voxels stay, or no .vdb is written; leave it out");
     }
+    const auto isPly = [](const std::string& path) { return extensionOf(path) == ".ply"; };
+    const bool hasPly = std::any_of(flags.outputs.begin(), flags.outputs.end(), isPly);
+    if (flags.givesKeep && !hasPly && !hasNewGrid)
+        throw InvalidInput(
+            "--keep is about a .ply or a new .vdb of the points, and there is none; a .vdb that the "
+            "points come from is copied with all that it has; leave it out");
     if (plan.job.written.npz && flags.encoding == "none") {
         throw InvalidInput(
             "--encoding none keeps no lists, and an .npz output needs them; use index or mask");
@@ -331,9 +339,16 @@ void reportValues(const PointValues& values, const JobReport& job, SearchReport&
     report.measures->skipped = job.measureSkipped;
 }
 
+// What is written beside lists.
+struct PointOutputs {
+    const PointFile& points;
+    NewGridOptions grid;
+    KeptOutputs kept;
+};
+
 void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const SearchPlan& plan,
-                  const JobReport& job, const PointFile& file, const NewGridOptions& grid,
-                  const NeighborLists& lists, ProgressPrinter& progress, SearchReport& report)
+                  const JobReport& job, const PointOutputs& outputs, const NeighborLists& lists,
+                  ProgressPrinter& progress, SearchReport& report)
 {
     std::vector<std::string> paths = flags.outputs;
     if (!plan.attributes.arrays.empty()) paths.push_back(plan.attributes.arrays);
@@ -345,6 +360,8 @@ void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const SearchPl
     if (plan.writesAttributes()) {
         values = valuesOf(plan, job, lists, counts);
         reportValues(values, job, report);
+        report.measures->kept = outputs.kept.kept();
+        report.measures->leftOut = outputs.kept.leftOut;
     }
     const double share = 0.2 / static_cast<double>(paths.size());
     for (std::size_t i = 0; i < paths.size(); ++i) {
@@ -355,7 +372,8 @@ void writeOutputs(SearchEngine& engine, const SearchFlags& flags, const SearchPl
             writeArraysNpz(path, values, output, &progress);
         } else if (extensionOf(path) == ".npz") {
             if (!job.written) writeJobNpz(path, engine, lists, job, listForm(flags, plan), output);
-        } else if (const auto written = writePoints(path, file, values, grid, output, &progress)) {
+        } else if (const auto written = writePoints(path, outputs.points, outputs.kept.before(path, values),
+                                                    outputs.grid, output, &progress)) {
             report.measures->voxelSize = written->voxelSize;
             report.measures->largestRounding = written->largestRounding;
             for (const std::string& warning : warningsOf(path, *written)) {
@@ -401,10 +419,15 @@ int searchFile(const SearchFlags& flags, const SearchPlan& plan, int threads, Se
         measured = readMeasureInput(input.candidates, plan.measure, &progress);
         options.measure = optionsOf(plan.measure, measured);
     }
-    const NewGridOptions grid = newGridOptions(plan, input, report.radius);
-    if (plan.writesAttributes())
-        checkAttributeOutputs(plan.attributes, rows, namesOf(plan.measure, options.measure), grid,
-                              flags.common.force, &progress);
+    PointOutputs outputs{rows, newGridOptions(plan, input, report.radius), {}};
+    if (plan.writesAttributes()) {
+        const PointValues names = namesOf(plan.measure, options.measure);
+        checkAttributeOutputs(plan.attributes, rows, names, outputs.grid, flags.common.force, &progress);
+        outputs.kept = readKept(plan.attributes, rows, flags.keep, names, flags.common.force, &progress);
+        options.written.keptBytes = outputs.kept.bytesEach();
+        if (!flags.common.quiet) warnOfLeftOut(outputs.kept.leftOut);
+    }
+    checkReadingPeak(options.search.hostMemoryBytes);
 
     SearchEngine engine;
     JobReport job;
@@ -412,7 +435,7 @@ int searchFile(const SearchFlags& flags, const SearchPlan& plan, int threads, Se
     if (plan.query.hasRadii) report.radius = lists.sets().radius();
     fillReport(engine, flags, job, lists, report);
     makeChecksum(engine, flags, job, lists, report);
-    writeOutputs(engine, flags, plan, job, rows, grid, lists, progress, report);
+    writeOutputs(engine, flags, plan, job, outputs, lists, progress, report);
     throwIfStopped();
     progress.finish();
     report.peakBytes = peakMemoryBytes();

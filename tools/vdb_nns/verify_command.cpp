@@ -335,7 +335,7 @@ Command addVerifyCommand(CLI::App& app)
         ->check(notEmpty());
     addInputFlags(*command, flags->input, true);
     addQueryFlags(*command, flags->query);
-    addMeasureFlags(*command, flags->measures);
+    addMeasureFlags(*command, flags->measures, "those that the result has");
     command
         ->add_option("--sample", flags->sample,
                      "check N random queries against all points; default: all queries")
