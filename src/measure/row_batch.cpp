@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <limits>
 
 namespace vdb_nns {
 
@@ -202,8 +203,16 @@ void RowBatch::setRadii(Row& row, std::size_t firstGroup)
         std::fill(inverse + begin, inverse + end, 1 / row.reference);
         return;
     }
-    for (std::size_t k = begin; k < end; ++k) inverse[k] = 1 / radiusOfPair(radius, row.query, mNumbers[k]);
-    if (row.ownWeight > 0) row.ownWeight = cube(row.reference / radiusOfPair(radius, row.query, row.query));
+    // The smallest: weights relative to its W(0) are at most 1, however large the others are.
+    const double own = row.ownWeight > 0 ? radiusOfPair(radius, row.query, row.query)
+                                         : std::numeric_limits<double>::infinity();
+    row.reference = own;
+    for (std::size_t k = begin; k < end; ++k) {
+        const double ofPair = radiusOfPair(radius, row.query, mNumbers[k]);
+        row.reference = std::min(row.reference, ofPair);
+        inverse[k] = 1 / ofPair;
+    }
+    if (row.ownWeight > 0) row.ownWeight = cube(row.reference / own);
 }
 
 void RowBatch::makePairs()
@@ -286,6 +295,7 @@ void RowBatch::writeDensities()
         const Row& row = mRows[r];
         const double own = row.ownWeight > 0 && hasMasses ? row.ownWeight * options.masses[row.query] : 0;
         const double total = hasMasses ? mSums[r] + own : options.mass * (mWeightSums[r] + row.ownWeight);
+        if (!(total > 0)) continue; // W(0) of a tiny radius is infinite
         mTargets.density[row.query] = static_cast<float>(total * (atZero / cube(row.reference)));
     }
 }
@@ -317,7 +327,10 @@ void RowBatch::writeAverage(const MeasureTargets::Average& average)
         if (!(total > 0)) continue;
         for (std::size_t c = 0; c < width; ++c) {
             const double ownTerm = hasOwn ? own * valueOf(attribute, query, c) : 0;
-            putReal(average.type, average.out, width * query + c, (mSums[width * r + c] + ownTerm) / total);
+            const double mean = (mSums[width * r + c] + ownTerm) / total * attribute.unit;
+            // That of the largest number there is may be rounded past it.
+            constexpr double kLargest = std::numeric_limits<double>::max();
+            putReal(average.type, average.out, width * query + c, std::clamp(mean, -kLargest, kLargest));
         }
     }
 }
@@ -398,7 +411,7 @@ void RowBatch::writeAxes(Column weight, bool isPca)
     mEigen.resize(kEigenNumbers * padded);
     mMeasures.kernels.eigen(mMoments.data(), padded, mEigen.data());
     for (std::size_t r = 0; r < rows; ++r) {
-        if (!(mTotals[r] > 0)) continue;
+        if (!isPca && !(mTotals[r] > 0)) continue; // an ellipsoid takes points, be their weights 0
         const double* const eigen = mEigen.data() + kEigenNumbers * r;
         if (isPca) {
             writePca(eigen, r);
