@@ -94,7 +94,8 @@ void checkPass(const CaseParticles& particles, const SearchTerms& terms, const M
                TrialCheck& check)
 {
     const MeasureClaims claims = {"bench", pass.names, pass.options, pass.made.values, {}};
-    for (const ValueFinding& finding : verifyMeasures(terms, claims).findings) {
+    const MeasureReport report = verifyMeasures(terms, claims);
+    for (const ValueFinding& finding : report.findings) {
         if (finding.count > 0) addWrong(check, finding.count, sentenceOf(finding), pass);
     }
     const RangeFaults faults =
