@@ -82,6 +82,9 @@ struct MeasureOptions {
 /// Integers of numbers have 64 bits where there are more than 2^31-1 candidates. Points that do not ask, are not finite, or have a
 /// radius that reaches nobody have the values of no neighbors: 0, -1, no rotation; `pws` is their position.
 ///
+/// A density, distance or eigenvalue beyond the range of its type is infinite, or 0. Averages, normals, `stretch` and `xform` are finite
+/// for radii from 1e-140, below which moments lose terms, to 1e150, above which squares of distances are infinite.
+///
 /// Eigenvectors: in the first two the component of the largest magnitude (of equal ones the first) is positive, and the
 /// third is their cross product. Those of equal eigenvalues are what four sweeps of cyclic Jacobi rotations leave.
 ///

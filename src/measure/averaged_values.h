@@ -4,9 +4,11 @@
 #include "measure/chunks.h"
 #include "measure/row_batch.h"
 #include "util/cancel.h"
+#include "util/ieee_mode.h"
 #include "util/memory.h"
 #include "vdb_nns/point_values.h"
 
+#include <algorithm>
 #include <atomic>
 #include <cmath>
 #include <cstddef>
@@ -64,14 +66,40 @@ private:
             return isFinite;
         };
         std::atomic<std::uint64_t> skipped{0};
+        std::atomic<double> largest{0};
         forEachChunk(mCount, mCancel, [&](std::size_t begin, std::size_t end) {
             std::uint64_t bad = 0;
             for (std::size_t i = begin; i < end; ++i) bad += !copyValue(i);
             skipped += bad;
+            double most = 0, seen = largest;
+            for (std::size_t k = step * begin; k < step * end; ++k)
+                most = std::max(most, std::fabs(static_cast<double>(to[k])));
+            while (most > seen && !largest.compare_exchange_weak(seen, most)) {
+            }
         });
         mSkipped = skipped;
         mView.values = to;
-        if (mSkipped == 0) return;
+        if (mSkipped > 0) markValid(copyValue);
+        mView.unit = unitOf(largest);
+        if (mView.unit == 1) return;
+        forEachChunk(mCount, mCancel, [&](std::size_t begin, std::size_t end) {
+            for (std::size_t k = step * begin; k < step * end; ++k)
+                to[k] = static_cast<To>(static_cast<double>(to[k]) / mView.unit);
+        });
+    }
+
+    // Sums of numbers near the largest would pass the range of doubles, and those near the smallest are below what sums resolve
+    // (kernels/cpu/measure_rows.h). A power of two.
+    static double unitOf(double largest)
+    {
+        const IeeeMode mode;
+        if (largest >= 0x1p960) return 0x1p64;
+        return largest > 0 && largest < 0x1p-600 ? 0x1p-400 : 1;
+    }
+
+    template <typename CopyValue>
+    void markValid(const CopyValue& copyValue)
+    {
         mValid.resizeDiscarding(mCount);
         forEachChunk(mCount, mCancel, [&](std::size_t begin, std::size_t end) {
             for (std::size_t i = begin; i < end; ++i) mValid[i] = copyValue(i) ? 1 : 0;

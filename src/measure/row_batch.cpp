@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace vdb_nns {
 
@@ -209,9 +210,16 @@ void RowBatch::setRadii()
             std::fill(inverse + begin, inverse + end, 1 / mReferences[r]);
             continue;
         }
-        for (std::size_t k = begin; k < end; ++k)
-            inverse[k] = 1 / radiusOfPair(radius, query, mGroups.numbers[k]);
-        if (mOwn[r] > 0) mOwnWeights[r] = cube(mReferences[r] / radiusOfPair(radius, query, query));
+        // The smallest: weights relative to its W(0) are at most 1, however large the others are.
+        const double own =
+            mOwn[r] > 0 ? radiusOfPair(radius, query, query) : std::numeric_limits<double>::infinity();
+        mReferences[r] = own;
+        for (std::size_t k = begin; k < end; ++k) {
+            const double ofPair = radiusOfPair(radius, query, mGroups.numbers[k]);
+            mReferences[r] = std::min(mReferences[r], ofPair);
+            inverse[k] = 1 / ofPair;
+        }
+        if (mOwn[r] > 0) mOwnWeights[r] = cube(mReferences[r] / own);
     }
 }
 
@@ -310,6 +318,7 @@ void RowBatch::writeDensities()
         const double ownWeight = mOwnWeights[r];
         const double own = ownWeight > 0 && hasMasses ? ownWeight * options.masses[query] : 0;
         const double total = hasMasses ? mSums[r] + own : options.mass * (mWeightSums[r] + ownWeight);
+        if (!(total > 0)) continue; // W(0) of a tiny radius is infinite
         mTargets.density[query] = static_cast<float>(total * (atZero / cube(mReferences[r])));
     }
 }
@@ -341,7 +350,10 @@ void RowBatch::writeAverage(const MeasureTargets::Average& average)
         if (!(total > 0)) continue;
         for (std::size_t c = 0; c < width; ++c) {
             const double ownTerm = hasOwn ? own * valueOf(attribute, query, c) : 0;
-            putReal(average.type, average.out, width * query + c, (mSums[width * r + c] + ownTerm) / total);
+            const double mean = (mSums[width * r + c] + ownTerm) / total * attribute.unit;
+            // That of the largest number there is may be rounded past it.
+            constexpr double kLargest = std::numeric_limits<double>::max();
+            putReal(average.type, average.out, width * query + c, std::clamp(mean, -kLargest, kLargest));
         }
     }
 }
@@ -422,7 +434,7 @@ void RowBatch::writeAxes(Column weight, bool isPca)
     mEigen.resize(kEigenNumbers * padded);
     mMeasures.kernels.eigen(mMoments.data(), padded, mEigen.data());
     for (std::size_t r = 0; r < rows; ++r) {
-        if (!(mTotals[r] > 0)) continue;
+        if (!isPca && !(mTotals[r] > 0)) continue; // an ellipsoid takes points, be their weights 0
         const double* const eigen = mEigen.data() + kEigenNumbers * r;
         if (isPca) {
             writePca(eigen, r);

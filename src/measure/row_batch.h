@@ -21,6 +21,7 @@ struct AveragedAttribute {
     bool isDouble = false, isVector = false;
     const void* values = nullptr;  // finite: 0 where the attribute is not
     const double* valid = nullptr; // 1 or 0; null where all are
+    double unit = 1;               // that the values have, a power of two
 };
 
 // What all threads share in a pass.

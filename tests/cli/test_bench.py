@@ -401,12 +401,17 @@ class Bench(CliCase):
         self.assertGreater(len({case for case, _ in cells}), 60)
         for (case, method), cell in cells.items():
             self.assertIn(cell["verdict"], ("exact", "wrong", "refused", "crash", "hang", "memory", "skipped"))
+            self.assertEqual(cell["wrong_values"], 0, (case, method, cell["message"]))
             if method == "ours-index":
                 self.assertIn(cell["verdict"], ("exact", "refused", "skipped"), (case, cell["message"]))
-        self.assertTrue({"radii", "sets", "nearest"} < {cell["group"] for cell in report["stability"]})
+        self.assertTrue({"radii", "sets", "nearest", "measures"} < {cell["group"] for cell in report["stability"]})
         for case in ("radii-bad-scatter", "radii-1e4-symmetric", "sets-on-top", "groups-no-query", "nearest-equal"):
             self.assertEqual([cells[case, method]["verdict"] for method in ("ours-index", "world-float", "blocks-mask")],
                              ["exact", "skipped", "skipped"], case)
+        for case in ("measures-sheet-tilted", "measures-values-largest", "measures-far-transform"):
+            self.assertEqual([cells[case, method]["verdict"] for method in ("ours-index", "brute-force", "blocks-mask")],
+                             ["exact", "skipped", "skipped"], case)
+        self.assertEqual(cells["measures-mass-nan", "ours-index"]["verdict"], "refused")
         self.assertEqual(cells["radii-bad-gather", "brute-force"]["verdict"], "wrong") # a square forgets the sign
         self.assertEqual(cells["far-1e7", "world-float"]["verdict"], "wrong")
         self.assertEqual(cells["tie-0.1", "world-float"]["verdict"], "wrong")

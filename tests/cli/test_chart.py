@@ -73,7 +73,9 @@ def full_report():
             {"case": "NaN", "group": "numbers", "what": "", "method": "openvdb", "verdict": "wrong", "missing": 5880000, "extra": 0,
              "asymmetric": None, "seconds": 1, "peak_rss_bytes": 10**7, "message": ""},
             {"case": "radius 0", "group": "radius", "what": "", "method": "openvdb", "verdict": "crash", "missing": 0, "extra": 0,
-             "asymmetric": None, "seconds": 1, "peak_rss_bytes": 10**7, "message": "signal 11 <b>"}]}
+             "asymmetric": None, "seconds": 1, "peak_rss_bytes": 10**7, "message": "signal 11 <b>"},
+            {"case": "line", "group": "measures", "what": "", "method": "ours-index", "verdict": "wrong", "missing": 0, "extra": 0,
+             "wrong_values": 321, "asymmetric": None, "seconds": 1, "peak_rss_bytes": 10**7, "message": "a normal"}]}
 
 
 def run(*args, **variables):
@@ -162,7 +164,7 @@ class Pages(ChartCase):
         self.assertEqual(page.loads, [])
         self.assertEqual([link for link in page.links if not (link.startswith("#") and link[1:] in page.ids)], [])
         self.assertNotIn("url(http", self.bytes_of("out.html").decode())
-        for words in ("abc1234", "GNU 12.2.0", "A CPU", "4 cores", "8 GB", "vdb_nns 0.1.0", "blocks-mask (model)", "wrong 5.9 M",
+        for words in ("abc1234", "GNU 12.2.0", "A CPU", "4 cores", "8 GB", "vdb_nns 0.1.0", "blocks-mask (model)", "wrong 5.9 M", "wrong 321",
                       "signal 11 <b>", "Pareto front", "MODEL", "auto", "75 %", "sampled10", "every query", "nanoflann-k", "block, mixed 1:4, symmetric", "block, the nearest 8"):
             self.assertIn(words, page.text)
         self.assertTrue(any("signal 11 <b>" in title and "peak 10 MB" in title for title in page.titles))

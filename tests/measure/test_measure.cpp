@@ -316,6 +316,84 @@ TEST(Measure, CountsACrowd)
     }
 }
 
+// Weights of a pair are relative to a radius: no ratio of two makes them infinite.
+TEST(Measure, DensitiesKnowNoLargestRadius)
+{
+    const std::vector<float> xyz = {0, 0, 0, 1, 0, 0};
+    const ParticleView view = ParticleView::fromArray(xyz.data(), 2);
+    const std::vector<double> radii = {2, 1e300};
+    Radius radius;
+    radius.ofQueries = radius.ofCandidates = {radii.data(), radii.size()};
+    radius.mode = RadiusMode::kScatter;
+    SearchEngine engine;
+    const PointValues values =
+        engine
+            .measure(engine.sort(view, view, radius), {"density", "average:a"},
+                     [&] {
+                         static const float kTwo[] = {2, 4};
+                         MeasureOptions options;
+                         options.attributes = {viewAttribute("a", AttributeType::kFloat, kTwo, 2)};
+                         return options;
+                     }())
+            .values;
+    const auto* const density = static_cast<const float*>(values.attributes[0].values.get());
+    const auto* const average = static_cast<const float*>(values.attributes[1].values.get());
+    // W of the radius 1e300 is 0 in either; with the radius 2 it is 1 / pi at 0 and a quarter of that at 1.
+    EXPECT_FLOAT_EQ(density[0], 0.318309886f);
+    EXPECT_FLOAT_EQ(density[1], 0.318309886f / 4);
+    EXPECT_EQ(average[0], 2);
+    EXPECT_EQ(average[1], 2);
+}
+
+// W(0) of such a radius is infinite in double.
+TEST(Measure, NoMassIsNoDensityAtAnyScale)
+{
+    const std::vector<double> xyz = {0, 0, 0, 1e-110, 0, 0};
+    MeasureOptions options;
+    options.mass = 0;
+    const PointValues values = measure(ParticleView::fromArray(xyz.data(), 2), 2e-110, {"density"}, options);
+    EXPECT_EQ(static_cast<const float*>(values.attributes[0].values.get())[0], 0);
+}
+
+TEST(Measure, AveragesOfTheLargestAndTheSmallestNumbers)
+{
+    const std::vector<float> xyz(3 * 20, 0.5f);
+    const ParticleView view = ParticleView::fromArray(xyz.data(), 20);
+    constexpr double kLargest = std::numeric_limits<double>::max(), kNone = 0x1p-1074;
+    for (const double value : {kLargest, -kLargest, 5 * kNone, 1e-290, -1e300}) {
+        std::vector<double> doubles(20, value);
+        doubles[7] = std::numeric_limits<double>::quiet_NaN();
+        MeasureOptions options;
+        options.kernel = SmoothingKernel::kTophat;
+        options.attributes = {viewAttribute("d", AttributeType::kDouble, doubles.data(), 20)};
+        const PointValues values = measure(view, 1, {"average:d"}, options);
+        const auto* const average = static_cast<const double*>(values.attributes[0].values.get());
+        for (std::size_t i = 0; i < 20; ++i) EXPECT_DOUBLE_EQ(average[i], value) << i;
+    }
+}
+
+// Neighbors exactly at the radius have no weight, and are neighbors.
+TEST(Measure, AnEllipsoidTakesPointsWithoutWeight)
+{
+    const std::vector<float> query = {0, 0, 0}, xyz = {2, 0, 0, 0, 2, 0, 0, -2, 0};
+    SearchEngine engine;
+    MeasureOptions options;
+    options.pca = {0.25, 7, 3, 1};
+    const ParticleView candidates = ParticleView::fromArray(xyz.data(), 3);
+    const PointValues values =
+        engine.measure(engine.sort(candidates, ParticleView::fromArray(query.data(), 1), 2), {"pca"}, options)
+            .values;
+    EXPECT_EQ(values.groups[0].members.get()[0], 1);
+    const auto* const stretch = static_cast<const float*>(values.attributes[0].values.get());
+    const auto* const xform = static_cast<const float*>(values.attributes[1].values.get());
+    const auto* const pws = static_cast<const double*>(values.attributes[2].values.get());
+    for (std::size_t k = 0; k < 3; ++k) {
+        EXPECT_EQ(stretch[k], 1);
+        EXPECT_EQ(pws[k], 0);
+    }
+    for (std::size_t k = 0; k < 9; ++k) EXPECT_EQ(xform[k], k % 4 == 0 ? 1 : 0);
+}
+
 TEST(Measure, CountsAreThoseOfASearch)
 {
     const PointSet set = arraySets(Precision::kFloat)[7];

@@ -39,11 +39,16 @@ bool isOfSets(const StabilityCase& stabilityCase)
     return group == "radii" || group == "sets" || group == "nearest";
 }
 
-// Devices search one set, and the nearest are not held as masks: such trials are skipped, and that is tested
-// below.
+// Devices search one set, the nearest are not held as masks, and measures are the CPU's: such trials are skipped, and that is
+// tested below.
 bool isAbout(const StabilityCase& stabilityCase, const MethodSpec& spec)
 {
     if (stabilityCase.condition.isForDevices()) return spec.hasBudget();
+    if (stabilityCase.group == "measures") { // not made: views of grids start threads
+        SetSearch search;
+        search.nearest = stabilityCase.name.find("nearest") != std::string::npos ? 1 : 0;
+        return missingMeasures(spec, search).empty();
+    }
     return !isOfSets(stabilityCase) || missingSearch(spec, *stabilityCase.make().search).empty();
 }
 
@@ -77,8 +82,8 @@ TEST_P(Ours, KeepsItsWord)
     const StabilityTrial trial = runTrial(stabilityCase, GetParam().spec, limits);
     EXPECT_TRUE(oursHolds(trial)) << trial.caseName << " (" << trial.what << ") with " << trial.method
                                   << " is " << trial.verdict << ": " << trial.missing << " missing, "
-                                  << trial.extra << " extra, " << trial.duplicates << " twice; "
-                                  << trial.message;
+                                  << trial.extra << " extra, " << trial.duplicates << " twice, "
+                                  << trial.wrongValues << " wrong values; " << trial.message;
     EXPECT_NE(trial.verdict, Verdict::kSkipped) << trial.message;
 }
 
@@ -98,7 +103,7 @@ TEST(StabilityCases, EveryFailureThatIsKnownHasSome)
     for (const char* group :
          {"clusters", "offset", "ties",   "pairs",      "seams",      "non-finite", "duplicates", "sparse",
           "devices",  "few",    "radius", "bad radius", "transforms", "codecs",     "order",      "threads",
-          "memory",   "scale",  "thin",   "radii",      "sets",       "nearest"}) {
+          "memory",   "scale",  "thin",   "radii",      "sets",       "nearest",    "measures"}) {
         EXPECT_EQ(groups.erase(group), 1u) << group;
     }
     EXPECT_TRUE(groups.empty()) << *groups.begin();
@@ -192,6 +197,28 @@ TEST(StabilityMatrix, WhatAMethodHasNotIsLeftOut)
     EXPECT_NE(text.find("2 of 2 trials of exact methods"), std::string::npos) << text;
 }
 
+TEST(StabilityMatrix, MeasuresAreThoseOfTheEngineOnTheCpu)
+{
+    StabilityOptions options;
+    options.methods = {parseMethod("ours-visit"), parseMethod("ours-mask"), parseMethod("brute-force"),
+                       parseMethod("blocks-mask")};
+    options.cases = {"measures-two", "measures-nearest-8", "measures-mass-negative"};
+    const std::vector<StabilityTrial> trials = runStability(options);
+    std::vector<Verdict> verdicts;
+    for (const StabilityTrial& trial : trials) verdicts.push_back(trial.verdict);
+    const std::vector<Verdict> expected = {Verdict::kExact,   Verdict::kExact,   Verdict::kSkipped,
+                                           Verdict::kSkipped, Verdict::kExact,   Verdict::kSkipped,
+                                           Verdict::kSkipped, Verdict::kSkipped, Verdict::kRefused,
+                                           Verdict::kRefused, Verdict::kSkipped, Verdict::kSkipped};
+    ASSERT_EQ(verdicts, expected);
+    EXPECT_EQ(trials[2].message, "has no measures");
+    EXPECT_EQ(trials[3].message, "measures are made on the CPU, whoever finds the lists");
+    EXPECT_EQ(trials[5].message, "holds no masks of the nearest");
+    EXPECT_TRUE(trials[8].isClear) << trials[8].message;
+    const std::string text = stabilityText(trials);
+    EXPECT_NE(text.find("5 of 5 trials of exact methods"), std::string::npos) << text;
+}
+
 StabilityTrial trialWith(Verdict verdict, RightOutcome right, bool isClear = true)
 {
     StabilityTrial trial;
@@ -234,6 +261,13 @@ TEST(StabilityMatrix, AFaultOfOursIsShouted)
               std::string::npos)
         << text;
     EXPECT_NE(text.find("0 of 1 trials"), std::string::npos) << text;
+    StabilityTrial off = trialWith(Verdict::kWrong, RightOutcome::kAnswer);
+    off.wrongValues = 12'345;
+    off.message = "density is nan, particle 7";
+    const std::string offText = stabilityText({off});
+    EXPECT_NE(offText.find("!12k off"), std::string::npos) << offText;
+    EXPECT_NE(offText.find("a case: ours-index: density is nan, particle 7"), std::string::npos) << offText;
+    EXPECT_EQ(stabilityJson({off})[0]["wrong_values"], 12'345);
 }
 
 } // namespace

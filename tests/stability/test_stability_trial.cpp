@@ -3,18 +3,27 @@
 #include "bench/truth.h"
 #include "signals.h"
 #include "vdb_nns/error.h"
+#include "vdb_nns/measure.h"
+#include "vdb_nns/search.h"
 
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cerrno>
+#include <cmath>
 #include <csignal>
 #include <cstdlib>
 #include <functional>
 #include <iostream>
+#include <limits>
 #include <list>
+#include <memory>
+#include <stdexcept>
+#include <string>
 #include <sys/wait.h>
 #include <unistd.h>
+#include <utility>
+#include <vector>
 
 namespace vdb_nns::cli {
 namespace {
@@ -52,6 +61,53 @@ public:
 private:
     Run mRun;
 };
+
+// Measures as the engine makes them, and then spoilt.
+class DoubleOfMeasures : public MethodWithResult {
+public:
+    using Spoil = std::function<void(Measured&)>;
+    explicit DoubleOfMeasures(Spoil spoil) : mSpoil(std::move(spoil)) {}
+
+    MethodRun run(const ParticleView&, double, const ProgressSpan&) override
+    {
+        throw std::logic_error("measures are asked for");
+    }
+    Measured measure(const SetSearch& search, const std::vector<std::string>& names,
+                     const MeasureOptions& options, const ProgressSpan&) override
+    {
+        MeasureOptions own = options;
+        own.search.nearest = search.nearest;
+        SearchEngine engine;
+        Measured made =
+            engine.measure(engine.sort(search.candidates, search.queries, search.radius), names, own);
+        mSpoil(made);
+        return made;
+    }
+
+private:
+    Spoil mSpoil;
+};
+
+StabilityTrial trialOfMeasures(const char* caseName, const DoubleOfMeasures::Spoil& spoil)
+{
+    MethodSpec spec;
+    spec.name = "double";
+    spec.kind = MethodKind::kEngine;
+    return runTrial(stabilityCases({caseName}).front(), spec, {}, [&](const MethodSpec&, const MethodSetup&) {
+        return std::make_unique<DoubleOfMeasures>(spoil);
+    });
+}
+
+// The numbers of an attribute, to be spoilt.
+template <typename Number>
+Number* numbersOf(const Measured& made, const std::string& name)
+{
+    for (const PointAttribute& attribute : made.values.attributes) {
+        if (attribute.name == name)
+            return static_cast<Number*>(std::const_pointer_cast<void>(attribute.values).get());
+    }
+    throw std::logic_error("there is no " + name);
+}
 
 // A trial of a method that does that.
 StabilityTrial trialOf(const Double::Run& run, double seconds = 30, const char* caseName = "twice",
@@ -172,6 +228,92 @@ TEST(StabilityTrial, WrongPairsOfSetsAreCounted)
     });
     EXPECT_EQ(trial.verdict, Verdict::kWrong);
     EXPECT_EQ(trial.extra, 3u);
+}
+
+TEST(StabilityTrial, MeasuresThatAreRightAreExact)
+{
+    for (const char* name : {"measures-two", "measures-radii-bad-scatter", "measures-nearest-coincident",
+                             "measures-groups-no-query", "measures-values-some-nan"}) {
+        const StabilityTrial trial = trialOfMeasures(name, [](Measured&) {});
+        EXPECT_EQ(trial.verdict, Verdict::kExact) << name << ": " << trial.message;
+        EXPECT_EQ(trial.wrongValues, 0u);
+    }
+}
+
+TEST(StabilityTrial, WrongMeasuresAreCounted)
+{
+    constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+    constexpr double kInfinity = std::numeric_limits<double>::infinity();
+    struct Wrong {
+        const char* says; // begins the message
+        DoubleOfMeasures::Spoil spoil;
+    };
+    const std::size_t i = 300; // a particle inside the block
+    const std::vector<Wrong> all = {
+        {"density", [=](Measured& m) { numbersOf<float>(m, "density")[i] = kNan; }},
+        {"density", [=](Measured& m) { numbersOf<float>(m, "density")[i] *= 1.00001f; }},
+        {"count", [=](Measured& m) { ++numbersOf<std::int32_t>(m, "count")[i]; }},
+        {"mean_distance", [=](Measured& m) { numbersOf<float>(m, "mean_distance")[i] = 0; }},
+        {"nearest_distance", [=](Measured& m) { numbersOf<float>(m, "nearest_distance")[i] = -1; }},
+        {"nearest", [=](Measured& m) { numbersOf<std::int32_t>(m, "nearest")[i] = 300; }},
+        {"average:d", [=](Measured& m) { numbersOf<double>(m, "average:d")[i] *= 1 + 1e-12; }},
+        {"average:v", [=](Measured& m) { numbersOf<float>(m, "average:v")[3 * i + 1] = kNan; }},
+        {"normal",
+         [=](Measured& m) {
+             for (std::size_t k = 0; k < 3; ++k) numbersOf<float>(m, "normal")[3 * i + k] *= 2;
+         }},
+        {"eigenvalues", [=](Measured& m) { numbersOf<float>(m, "eigenvalues")[3 * i + 2] *= -1; }},
+        {"stretch", [=](Measured& m) { numbersOf<float>(m, "stretch")[3 * i] *= 1.001f; }},
+        {"xform", [=](Measured& m) { numbersOf<float>(m, "xform")[9 * i] += 0.001f; }},
+        {"pws", [=](Measured& m) { numbersOf<double>(m, "pws")[3 * i] = kInfinity; }},
+        {"cluster", [=](Measured& m) { ++numbersOf<std::int32_t>(m, "cluster")[i]; }},
+        {"cluster_size", [=](Measured& m) { --numbersOf<std::int32_t>(m, "cluster_size")[i]; }},
+        {"isolated",
+         [=](Measured& m) {
+             std::const_pointer_cast<std::uint8_t>(m.values.groups[1].members).get()[i] = 1;
+         }},
+        {"bench: has no attribute 'density'",
+         [](Measured& m) { m.values.attributes.erase(m.values.attributes.begin() + 1); }},
+        {"values skipped of 'w'", [](Measured& m) {
+             m.skipped.push_back({"w", 1});
+         }}};
+    for (const Wrong& wrong : all) {
+        const StabilityTrial trial = trialOfMeasures("measures-mass-some-0", wrong.spoil);
+        EXPECT_EQ(trial.verdict, Verdict::kWrong) << wrong.says;
+        EXPECT_GE(trial.wrongValues, 4u) << wrong.says; // one of each pass
+        EXPECT_EQ(trial.message.compare(0, std::string(wrong.says).size(), wrong.says), 0) << trial.message;
+        EXPECT_FALSE(oursHolds(trial));
+    }
+}
+
+// What the independent check leaves open, for want of digits, are ranges and agreement with each other.
+TEST(StabilityTrial, MeasuresWithoutAReferenceAreInTheirRange)
+{
+    const auto expectWrong = [](const char* caseName, const char* says,
+                                const DoubleOfMeasures::Spoil& spoil) {
+        const StabilityTrial trial = trialOfMeasures(caseName, spoil);
+        EXPECT_EQ(trial.verdict, Verdict::kWrong) << says;
+        EXPECT_NE(trial.message.find(says), std::string::npos) << trial.message;
+    };
+    // The sum of the weights is 0 but for one kernel.
+    expectWrong("measures-at-radius", "average:f is 1e+06",
+                [](Measured& m) { numbersOf<float>(m, "average:f")[3] = 1e6f; });
+    expectWrong("measures-at-radius", "eigenvalues is -1",
+                [](Measured& m) { numbersOf<float>(m, "eigenvalues")[3] = -1; });
+    // The normal of a particle inside a lattice is a rounding, or 0.
+    expectWrong("measures-sheet", "normal",
+                [](Measured& m) { numbersOf<float>(m, "normal")[3 * 450] = 0.5f; });
+}
+
+TEST(StabilityTrial, OtherMeasuresFromRunToRunAreWrong)
+{
+    int passes = 0;
+    const StabilityTrial trial = trialOfMeasures("measures-two", [&passes](Measured& m) {
+        float& density = numbersOf<float>(m, "average:i")[0]; // within its bound, but another byte
+        if (passes++ == 5) density = std::nextafter(density, 0.0f);
+    });
+    EXPECT_EQ(trial.verdict, Verdict::kWrong);
+    EXPECT_NE(trial.message.find("without SIMD"), std::string::npos) << trial.message;
 }
 
 TEST(StabilityTrial, OtherPairsInAMirrorAreWrong)

@@ -5,6 +5,7 @@
 #include "bench/methods/device_measures.h"
 #include "bench/set_search.h"
 #include "progress_printer.h"
+#include "vdb_nns/measure.h"
 #include "vdb_nns/particle_view.h"
 #include "vdb_nns/planning/schedule.h"
 #include "vdb_nns/search_options.h"
@@ -14,6 +15,7 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <vector>
 
 namespace vdb_nns::cli {
 
@@ -81,6 +83,12 @@ public:
     /// @throws std::logic_error for a search that missingSearch() says that the method has not
     virtual MethodRun runSets(const SetSearch& search, const ProgressSpan& span);
 
+    /// Measures of the queries' neighbors. There is no result to find() then.
+    /// @param options `search` is not read
+    /// @throws std::logic_error for a method that missingMeasures() says has none; else as SearchEngine::measure()
+    virtual Measured measure(const SetSearch& search, const std::vector<std::string>& names,
+                             const MeasureOptions& options, const ProgressSpan& span);
+
     /// Drops the result, so that its memory can be used again.
     virtual void discard() = 0;
 
@@ -91,6 +99,12 @@ public:
 inline MethodRun Method::runSets(const SetSearch&, const ProgressSpan&)
 {
     throw std::logic_error("a method of bench was asked for a search of sets that it has not");
+}
+
+inline Measured Method::measure(const SetSearch&, const std::vector<std::string>&, const MeasureOptions&,
+                                const ProgressSpan&)
+{
+    throw std::logic_error("a method of bench was asked for measures that it has not");
 }
 
 /// A method whose result is made anew by each run.

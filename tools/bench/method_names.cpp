@@ -291,6 +291,12 @@ std::string missingSearch(const MethodSpec& spec, const SetSearch& search)
     return search.nearest > 0 && spec.family == "openvdb" ? "has no search of the nearest" : "";
 }
 
+std::string missingMeasures(const MethodSpec& spec, const SetSearch& search)
+{
+    if (spec.kind == MethodKind::kDevice) return "measures are made on the CPU, whoever finds the lists";
+    return spec.kind == MethodKind::kEngine ? missingSearch(spec, search) : "has no measures";
+}
+
 std::unique_ptr<Method> makeMethod(const MethodSpec& spec, const MethodSetup& setup)
 {
     switch (spec.kind) {

@@ -31,6 +31,9 @@ std::vector<MethodSpec> parseMethods(const std::string& list, const MethodSuits&
 /// Empty if the method has such a search, else a sentence that says what it lacks.
 std::string missingSearch(const MethodSpec& spec, const SetSearch& search);
 
+/// Empty if the method makes measures of such a search, else a sentence that says what it lacks.
+std::string missingMeasures(const MethodSpec& spec, const SetSearch& search);
+
 /// What methods need to be made.
 struct MethodSetup {
     SearchOptions options;

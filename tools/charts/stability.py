@@ -29,8 +29,8 @@ COLORS = {
     "crash": ("#a8201a", "#ffffff"),
 }
 MEANINGS = {
-    "exact": "every pair right",
-    "wrong": "so many wrong pairs, silently",
+    "exact": "every pair or value right",
+    "wrong": "so many wrong pairs or values, silently",
     "refused": "said that it cannot",
     "crash": "the process died",
     "hang": "stopped after the time limit",
@@ -83,7 +83,8 @@ class Matrix:
 def words(row):
     """What a cell says."""
     verdict = text(row, "verdict") or "–"
-    wrong = (number(row, "missing") or 0) + (number(row, "extra") or 0) or (number(row, "asymmetric") or 0)
+    wrong = sum(number(row, key) or 0 for key in ("missing", "extra", "wrong_values"))
+    wrong = wrong or number(row, "asymmetric") or 0
     return f"{verdict} {short(wrong, 2)}" if verdict == "wrong" and wrong else verdict
 
 
@@ -249,6 +250,7 @@ def _cell(row):
         f"missing {plain(number(row, 'missing'))}",
         f"extra {plain(number(row, 'extra'))}",
         f"asymmetric {plain(number(row, 'asymmetric'))}",
+        f"wrong values {plain(number(row, 'wrong_values'))}",
         f"{plain(number(row, 'seconds'))} s",
         f"peak {size(number(row, 'peak_rss_bytes'))}",
     ]

@@ -2,6 +2,7 @@
 
 #include "machine.h"
 #include "vdb_nns/search.h"
+#include "vdb_nns/search_job.h"
 
 #include <numeric>
 #include <utility>
@@ -39,6 +40,32 @@ public:
         result.structureBytes = sets.bytes();
         find(sets, options, result);
         return result;
+    }
+
+    // As a job makes them beside its lists, or, where rows are not kept, in a pass of their own.
+    Measured measure(const SetSearch& search, const std::vector<std::string>& names,
+                     const MeasureOptions& measures, const ProgressSpan& span) override
+    {
+        discard();
+        span.printer.begin("measure", span.begin, span.end);
+        SearchOptions options = mOptions;
+        options.nearest = search.nearest;
+        if (mVisits) {
+            MeasureOptions own = measures;
+            own.search = options;
+            return mEngine.measure(mEngine.sort(search.candidates, search.queries, search.radius, options),
+                                   names, own);
+        }
+        JobOptions job;
+        job.search = options;
+        job.measures = names;
+        job.measure = measures;
+        JobReport report;
+        Measured made;
+        made.counts = mEngine.findNeighbors(search.candidates, search.queries, search.radius, job, report);
+        made.values = std::move(report.measured);
+        made.skipped = std::move(report.measureSkipped);
+        return made;
     }
 
 private:

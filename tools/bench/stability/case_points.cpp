@@ -2,6 +2,9 @@
 
 #include "vdb_nns/scene.h"
 
+#include <memory>
+#include <utility>
+
 namespace vdb_nns::cli {
 namespace {
 
@@ -14,6 +17,26 @@ CaseParticles asArray(const CasePoints& points)
         for (const double x : at) xyz->push_back(static_cast<Real>(x));
     }
     return {ParticleView::fromArray(xyz->data(), points.at.size()), points.radius, points.known, xyz};
+}
+
+struct OwnedSets {
+    std::vector<float> candidates, queries;
+    SetPoints points;
+};
+
+std::vector<float> floatsOf(const std::vector<Vec3d>& at)
+{
+    std::vector<float> xyz;
+    for (const Vec3d& p : at) {
+        for (const double x : p) xyz.push_back(static_cast<float>(x));
+    }
+    return xyz;
+}
+
+template <typename T>
+Span<const T> spanOf(const std::vector<T>& values)
+{
+    return {values.data(), values.size()};
 }
 
 } // namespace
@@ -70,6 +93,27 @@ CaseParticles asFloats(const CasePoints& points)
 CaseParticles asDoubles(const CasePoints& points)
 {
     return asArray<double>(points);
+}
+
+CaseParticles asSets(SetPoints points)
+{
+    const auto owned = std::make_shared<OwnedSets>();
+    owned->candidates = floatsOf(points.candidates.at);
+    owned->queries = floatsOf(points.queries);
+    owned->points = std::move(points);
+    const SetPoints& p = owned->points;
+    const auto search = std::make_shared<SetSearch>();
+    const ParticleView candidates = ParticleView::fromArray(owned->candidates.data(), p.candidates.at.size());
+    search->candidates = {candidates, spanOf(p.candidateChosen)};
+    search->queries = {p.queries.empty() ? candidates
+                                         : ParticleView::fromArray(owned->queries.data(), p.queries.size()),
+                       spanOf(p.queryChosen)};
+    search->radius = p.candidates.radius;
+    search->radius.ofQueries = spanOf(p.queryRadii);
+    search->radius.ofCandidates = spanOf(p.candidateRadii);
+    search->radius.mode = p.mode;
+    search->nearest = p.nearest;
+    return {candidates, p.candidates.radius, KnownRows::kUnknown, owned, search};
 }
 
 } // namespace vdb_nns::cli

@@ -3,6 +3,7 @@
 
 #include "bench/stability/cases.h"
 #include "numbers.h"
+#include "vdb_nns/particle_set.h"
 #include "vdb_nns/types.h"
 
 #include <cstdint>
@@ -33,6 +34,16 @@ struct CasePoints {
     KnownRows known = KnownRows::kUnknown;
 };
 
+/// Who asks, among whom, and how far.
+struct SetPoints {
+    CasePoints candidates;           ///< its radius is that of all pairs, where there are no radii
+    std::vector<Vec3d> queries = {}; ///< of a set of their own; empty: the candidates
+    std::vector<double> queryRadii = {}, candidateRadii = {};
+    std::vector<std::uint8_t> queryChosen = {}, candidateChosen = {};
+    RadiusMode mode = RadiusMode::kGather;
+    std::uint32_t nearest = 0;
+};
+
 constexpr double kJitter = 0.2; // of the spacing, as the scenes have it
 
 /// Adds a lattice of n particles along each axis about `center`.
@@ -50,5 +61,8 @@ CasePoints scaled(CasePoints points, double factor);
 
 CaseParticles asFloats(const CasePoints& points);
 CaseParticles asDoubles(const CasePoints& points);
+
+/// A search of sets of floats.
+CaseParticles asSets(SetPoints points);
 
 } // namespace vdb_nns::cli

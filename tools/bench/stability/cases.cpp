@@ -132,7 +132,8 @@ const std::vector<StabilityCase>& stabilityCases()
 {
     static const std::vector<StabilityCase> all = [] {
         std::vector<StabilityCase> cases;
-        for (const auto part : {precisionCases, shapeCases, inputCases, setCases, vdbCases, runCases}) {
+        for (const auto part :
+             {precisionCases, shapeCases, inputCases, setCases, vdbCases, measureCases, runCases}) {
             const std::vector<StabilityCase> more = part();
             cases.insert(cases.end(), more.begin(), more.end());
         }

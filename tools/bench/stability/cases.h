@@ -3,6 +3,7 @@
 
 #include "bench/method.h"
 #include "vdb_nns/particle_view.h"
+#include "vdb_nns/types.h"
 
 #include <cstdint>
 #include <functional>
@@ -21,6 +22,8 @@ enum class KnownRows {
     kNobody
 };
 
+struct MeasureTask;
+
 struct CaseParticles {
     ParticleView view;
     double radius = 0;
@@ -28,6 +31,9 @@ struct CaseParticles {
     std::shared_ptr<const void> owner; ///< of what the view views
     /// In place of all particles of the view within the radius; null: those. Views what the owner owns.
     std::shared_ptr<const SetSearch> search = {};
+    Vec3d translation{}; ///< of the transform of a point grid
+    /// What is measured of the neighbors (measure_task.h), in place of looking at them; null: nothing.
+    std::shared_ptr<const MeasureTask> measures = {};
 };
 
 /// What bounds the host memory of methods of the engine.
@@ -89,6 +95,7 @@ std::vector<StabilityCase> shapeCases();     ///< seams, sparse domains, sheets,
 std::vector<StabilityCase> inputCases();     ///< few particles, radius out of scale, non-finite, bad radius
 std::vector<StabilityCase> setCases();       ///< roles, radii of particles, the nearest
 std::vector<StabilityCase> vdbCases();       ///< point grids: transforms, codecs, unusual grids
+std::vector<StabilityCase> measureCases();   ///< measures of some of the others, and of what measures fail at
 std::vector<StabilityCase> runCases();       ///< order, threads, host memory, devices, estimates that lie
 
 } // namespace vdb_nns::cli

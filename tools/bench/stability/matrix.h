@@ -31,8 +31,8 @@ std::vector<StabilityTrial> runStability(const StabilityOptions& options);
 /// methods that promise nothing.
 bool oursHolds(const StabilityTrial& trial);
 
-/// An array of objects with the keys case, group, what, method, verdict, missing, extra, duplicates, asymmetric, seconds,
-/// peak_rss_bytes, message, holds.
+/// An array of objects with the keys case, group, what, method, verdict, missing, extra, duplicates, wrong_values, asymmetric,
+/// seconds, peak_rss_bytes, message, holds.
 nlohmann::ordered_json stabilityJson(const std::vector<StabilityTrial>& trials);
 
 /// A table of cases by methods, its legend, and a line for each trial that died, refused or fails its promise.

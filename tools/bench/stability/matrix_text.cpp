@@ -30,6 +30,7 @@ std::string trialText(const StabilityTrial& trial)
     case Verdict::kExact:
         return mark + "ok";
     case Verdict::kWrong:
+        if (trial.wrongValues > 0) return mark + shortCount(trial.wrongValues) + " off";
         if (trial.missing + trial.extra + trial.duplicates == 0) return mark + "varies";
         return mark + shortCount(trial.missing) + "+" + shortCount(trial.extra + trial.duplicates);
     case Verdict::kRefused:
@@ -181,6 +182,7 @@ nlohmann::ordered_json stabilityJson(const std::vector<StabilityTrial>& trials)
         object["missing"] = trial.missing;
         object["extra"] = trial.extra;
         object["duplicates"] = trial.duplicates;
+        object["wrong_values"] = trial.wrongValues;
         object["asymmetric"] = trial.asymmetric ? nlohmann::ordered_json(*trial.asymmetric) : nullptr;
         object["seconds"] = trial.seconds;
         object["peak_rss_bytes"] = trial.peakBytes;
@@ -194,9 +196,10 @@ nlohmann::ordered_json stabilityJson(const std::vector<StabilityTrial>& trials)
 std::string stabilityText(const std::vector<StabilityTrial>& trials)
 {
     const std::string legend =
-        "ok: exact; A+B: A pairs missing and B extra or twice; varies: other pairs from run to run; refused: "
-        "an exception that says why;\nCRASH, HANG, MEMORY: the process died, was stopped, ran out of "
-        "memory; -: the case is not about such methods; !: a fault of ours\n";
+        "ok: exact; A+B: A pairs missing and B extra or twice; N off: N wrong values of measures; varies: "
+        "other pairs or values from run to run;\nrefused: an exception that says why; CRASH, HANG, MEMORY: "
+        "the process died, was stopped, ran out of memory;\n-: the case is not about such methods; !: a "
+        "fault of ours\n";
     const std::string said = remarks(trials);
     return tableText(trials) + "\n" + legend + (said.empty() ? "" : "\n" + said) + "\n" + failures(trials);
 }

@@ -16,57 +16,6 @@ namespace {
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN(),
                  kInfinity = std::numeric_limits<double>::infinity();
 
-// What a case is about, in arrays that it owns.
-struct SetPoints {
-    CasePoints candidates;           // its radius is that of all pairs, where there are no radii
-    std::vector<Vec3d> queries = {}; // of a set of their own; empty: the candidates
-    std::vector<double> queryRadii = {}, candidateRadii = {};
-    std::vector<std::uint8_t> queryChosen = {}, candidateChosen = {};
-    RadiusMode mode = RadiusMode::kGather;
-    std::uint32_t nearest = 0;
-};
-
-struct OwnedSets {
-    std::vector<float> candidates, queries;
-    SetPoints points;
-};
-
-std::vector<float> floatsOf(const std::vector<Vec3d>& at)
-{
-    std::vector<float> xyz;
-    for (const Vec3d& p : at) {
-        for (const double x : p) xyz.push_back(static_cast<float>(x));
-    }
-    return xyz;
-}
-
-template <typename T>
-Span<const T> spanOf(const std::vector<T>& values)
-{
-    return {values.data(), values.size()};
-}
-
-CaseParticles asSets(SetPoints points)
-{
-    const auto owned = std::make_shared<OwnedSets>();
-    owned->candidates = floatsOf(points.candidates.at);
-    owned->queries = floatsOf(points.queries);
-    owned->points = std::move(points);
-    const SetPoints& p = owned->points;
-    const auto search = std::make_shared<SetSearch>();
-    const ParticleView candidates = ParticleView::fromArray(owned->candidates.data(), p.candidates.at.size());
-    search->candidates = {candidates, spanOf(p.candidateChosen)};
-    search->queries = {p.queries.empty() ? candidates
-                                         : ParticleView::fromArray(owned->queries.data(), p.queries.size()),
-                       spanOf(p.queryChosen)};
-    search->radius = p.candidates.radius;
-    search->radius.ofQueries = spanOf(p.queryRadii);
-    search->radius.ofCandidates = spanOf(p.candidateRadii);
-    search->radius.mode = p.mode;
-    search->nearest = p.nearest;
-    return {candidates, p.candidates.radius, KnownRows::kUnknown, owned, search};
-}
-
 // Radii of all particles, where a mode reads them: of one set they are the same in both roles.
 SetPoints withRadii(CasePoints points, std::vector<double> radii, RadiusMode mode)
 {

@@ -248,6 +248,7 @@ void takeResult(const TrialRecord& record, StabilityTrial& trial)
     trial.missing = record.missing;
     trial.extra = record.extra;
     trial.duplicates = record.duplicates;
+    trial.wrongValues = record.wrongValues;
     if (record.hasAsymmetric) trial.asymmetric = record.asymmetric;
     trial.seconds = record.seconds;
     trial.peakBytes = record.peakBytes;

@@ -14,7 +14,7 @@ namespace vdb_nns::cli {
 
 enum class Verdict {
     kExact,
-    kWrong,   ///< it answered, and pairs are missing, extra, listed twice, or differ from run to run
+    kWrong, ///< it answered, and pairs are missing, extra, listed twice, measures wrong, or both differ from run to run
     kRefused, ///< it threw an exception that says why
     kCrash,   ///< a signal killed it, it ended the program, or threw what nobody promised
     kHang,    ///< it took longer than it may
@@ -37,6 +37,7 @@ struct StabilityTrial {
     Verdict verdict = Verdict::kSkipped;
     std::uint64_t missing = 0, extra = 0, duplicates = 0; ///< ordered pairs, of all runs together
     std::optional<std::uint64_t> asymmetric;    ///< of wrong pairs; empty without rows, or with rows known
+    std::uint64_t wrongValues = 0;              ///< of measures, of all runs together
     double seconds = 0;                         ///< of all runs; until it died
     std::uint64_t peakBytes = 0;                ///< resident, beyond what the process had before the run
     std::string message;                        ///< of a refusal, a crash or a skip

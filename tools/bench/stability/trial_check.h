@@ -14,12 +14,13 @@ namespace vdb_nns::cli {
 struct TrialCheck {
     std::uint64_t missing = 0, extra = 0, duplicates = 0;
     std::optional<std::uint64_t> asymmetric;
+    std::uint64_t wrongValues = 0; ///< of measures
     std::uint64_t pairSum =
-        0; ///< equal for equal pairs (or counts, where there are no rows), whatever the order
+        0; ///< equal for equal pairs (or counts, where there are no rows; or measures), whatever the order
     bool hasStrangers = false; ///< a row has a number that no particle has; nothing more is said then
     std::string message;
 
-    std::uint64_t wrong() const { return missing + extra + duplicates; }
+    std::uint64_t wrong() const { return missing + extra + duplicates + wrongValues; }
 };
 
 /// All rows and counts against the truth; where rows are known, all counts, and as many rows as take a second.

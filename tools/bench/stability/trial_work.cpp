@@ -1,5 +1,7 @@
 #include "bench/stability/trial_work.h"
 
+#include "bench/stability/measure_task.h"
+#include "bench/stability/measured_values.h"
 #include "bench/stability/trial_check.h"
 #include "machine.h"
 #include "numbers.h"
@@ -17,6 +19,7 @@
 #include <numeric>
 #include <sys/resource.h>
 #include <unistd.h>
+#include <xmmintrin.h>
 
 namespace vdb_nns::cli {
 namespace {
@@ -99,6 +102,7 @@ std::uint64_t bytesOfGridAlone(const CaseParticles& particles)
 std::string whySkipped(const StabilityCase& stabilityCase, const MethodSpec& spec, const CaseParticles& made)
 {
     const std::size_t particles = made.view.size();
+    if (made.measures) return missingMeasures(spec, searchOf(made));
     if (made.search) {
         const std::string missing = missingSearch(spec, *made.search);
         if (!missing.empty()) return missing;
@@ -115,12 +119,28 @@ struct RunPlan {
     int threads = 0;
     std::vector<std::uint32_t> order = {}; // of the particles; empty: as they are
     std::array<bool, 3> negated = {};      // axes
+    bool isOtherWay = false; // of measures: other cells, no SIMD, in a host that flushes denormals
 
     bool isMirrored() const { return negated[0] || negated[1] || negated[2]; }
 };
 
-std::vector<RunPlan> plansOf(const RunCondition& condition, const TrialLimits& limits, std::size_t particles)
+// What a host sets that renders: denormals are 0.
+class FlushedDenormals {
+public:
+    FlushedDenormals() : mBefore(_mm_getcsr()) { _mm_setcsr(mBefore | 0x8040u); }
+    ~FlushedDenormals() { _mm_setcsr(mBefore); }
+    FlushedDenormals(const FlushedDenormals&) = delete;
+    FlushedDenormals& operator=(const FlushedDenormals&) = delete;
+
+private:
+    const unsigned mBefore;
+};
+
+std::vector<RunPlan> plansOf(const RunCondition& condition, const TrialLimits& limits,
+                             const CaseParticles& made)
 {
+    if (made.measures) return {{limits.threads}, {1, {}, {}, true}};
+    const std::size_t particles = made.view.size();
     if (condition.threadCounts) {
         const int cores = tbb::info::default_concurrency();
         std::vector<int> counts = {1, 2, 3, cores, 2 * cores};
@@ -173,7 +193,7 @@ public:
         const std::string skip = whySkipped(mCase, mSpec, *particles);
         if (!skip.empty()) return conclude(Verdict::kSkipped, skip);
         std::optional<std::uint64_t> firstSum;
-        for (const RunPlan& plan : plansOf(mCase.condition, mLimits, particles->view.size())) {
+        for (const RunPlan& plan : plansOf(mCase.condition, mLimits, *particles)) {
             ThreadLimit threads(plan.threads);
             const bool goesOn =
                 threads.run([&] { return runOnce(*particles, plan, threads.count(), firstSum); });
@@ -206,20 +226,27 @@ private:
     {
         mRecord.enter(TrialPhase::kMake);
         const CaseParticles particles = arranged(asMade, plan);
-        const MethodSetup setup = setupFor(particles);
-        const std::unique_ptr<Method> method = runLimited(particles, setup, threads);
+        MethodSetup setup = setupFor(particles);
+        if (plan.isOtherWay) {
+            setup.options.cellSize = 0.5;
+            setup.options.simd = SimdLevel::kScalar;
+        }
+        const std::unique_ptr<Method> method = runLimited(particles, setup, plan, threads);
         if (!method) return false;
         mRecord.enter(TrialPhase::kCheck);
-        const TrialCheck check = checkFound(method->found(), particles, plan.order);
+        if (particles.measures && firstSum == hashOfMeasured(mMeasured)) return true; // checked already
+        const TrialCheck check = particles.measures ? checkMeasured(particles, mMeasured)
+                                                    : checkFound(method->found(), particles, plan.order);
         mRecord.missing += check.missing;
         mRecord.extra += check.extra;
         mRecord.duplicates += check.duplicates;
+        mRecord.wrongValues += check.wrongValues;
         mRecord.hasAsymmetric = check.asymmetric.has_value();
         mRecord.asymmetric += check.asymmetric.value_or(0);
         if (check.wrong() > 0) conclude(Verdict::kWrong, check.message);
         if (check.hasStrangers) return false;
         const bool isOther = firstSum && *firstSum != check.pairSum;
-        if (isOther) conclude(Verdict::kWrong, "other pairs with " + describe(plan, threads));
+        if (isOther) conclude(Verdict::kWrong, describe(plan, threads));
         firstSum = firstSum.value_or(check.pairSum);
         return true;
     }
@@ -231,8 +258,11 @@ private:
 
     std::string describe(const RunPlan& plan, int threads) const
     {
-        if (plan.isMirrored()) return "the particles mirrored";
-        return plan.order.empty() ? std::to_string(threads) + " threads" : "particles in another order";
+        if (plan.isOtherWay)
+            return "other measures on 1 thread, in other cells, without SIMD, with denormals flushed";
+        if (plan.isMirrored()) return "other pairs with the particles mirrored";
+        return plan.order.empty() ? "other pairs with " + std::to_string(threads) + " threads"
+                                  : "other pairs with particles in another order";
     }
 
     MethodSetup setupFor(const CaseParticles& particles)
@@ -263,7 +293,8 @@ private:
     }
 
     // With its result; null where there is none.
-    std::unique_ptr<Method> runLimited(const CaseParticles& particles, const MethodSetup& setup, int threads)
+    std::unique_ptr<Method> runLimited(const CaseParticles& particles, const MethodSetup& setup,
+                                       const RunPlan& plan, int threads)
     {
         const AddressLimit limit(mappableBytes(), threads);
         returnFreedMemory();
@@ -272,7 +303,7 @@ private:
         mRecord.enter(TrialPhase::kRun);
         std::unique_ptr<Method> method;
         try {
-            method = answered(particles, setup);
+            method = particles.measures ? measured(particles, setup, plan) : answered(particles, setup);
         } catch (const Error& e) {
             conclude(Verdict::kRefused, e.what());
         } catch (const std::bad_alloc&) {
@@ -305,11 +336,33 @@ private:
         }
     }
 
+    std::unique_ptr<Method> measured(const CaseParticles& particles, const MethodSetup& setup,
+                                     const RunPlan& plan)
+    {
+        std::unique_ptr<Method> method = mMake(mSpec, setup);
+        const SetSearch search = searchOf(particles);
+        const std::vector<std::string> names = measuredNames(search);
+        const auto measureAll = [&] {
+            mMeasured.clear();
+            for (const MeasureOptions& options : measurePasses(*particles.measures))
+                mMeasured.push_back(
+                    {names, options, method->measure(search, names, options, {mProgress, 0, 1})});
+        };
+        if (plan.isOtherWay && !particles.measures->hasDenormalPositions) {
+            const FlushedDenormals mode;
+            tbb::task_arena(1).execute(measureAll); // an arena has what was set when it was made
+        } else {
+            measureAll();
+        }
+        return method;
+    }
+
     const StabilityCase& mCase;
     const MethodSpec& mSpec;
     const TrialLimits& mLimits;
     const MethodMaker& mMake;
     TrialRecord& mRecord;
+    std::vector<MeasuredPass> mMeasured; // by the last run
     ProgressPrinter mProgress{ProgressMode::kNever};
 };
 

@@ -24,7 +24,7 @@ struct TrialRecord {
     std::atomic<double> phaseBegan{0}; ///< by monotonicSeconds()
 
     Verdict verdict = Verdict::kExact;
-    std::uint64_t missing = 0, extra = 0, duplicates = 0, asymmetric = 0;
+    std::uint64_t missing = 0, extra = 0, duplicates = 0, asymmetric = 0, wrongValues = 0;
     bool hasAsymmetric = false;
     double seconds = 0;            ///< of the runs that came back
     std::uint64_t bytesBefore = 0; ///< resident, when the run began

@@ -65,7 +65,10 @@ PointDataGrid::Ptr makeGrid(const std::vector<VoxelPoint>& stored, const Transfo
 
 CaseParticles asParticles(const PointDataGrid::Ptr& grid, double radius)
 {
-    return {viewOf(grid), radius, KnownRows::kUnknown, grid};
+    CaseParticles particles = {viewOf(grid), radius, KnownRows::kUnknown, grid};
+    const openvdb::Vec3d origin = grid->indexToWorld(openvdb::Vec3d(0)); // exact: the transform is affine
+    particles.translation = {origin[0], origin[1], origin[2]};
+    return particles;
 }
 
 // Two points in every voxel of a cube whose middle is that voxel.
@@ -135,6 +138,11 @@ void addTransforms(std::vector<StabilityCase>& cases)
             transform->postTranslate({0.35, -0.35, 1e4});
             return transform;
         });
+    add("far-transform", "voxels of 0.1 at 1e6: float32 world positions have steps of 0.06", 0.14, [] {
+        const TransformPtr transform = voxelsOf(0.1);
+        transform->postTranslate({1e6, -1e6, 3e5});
+        return transform;
+    });
     add("voxels-1e-4", "voxels of 1e-4", 1.4e-4, [] { return voxelsOf(1e-4); });
     add("voxels-1e6", "voxels of 1e6", 1.4e6, [] { return voxelsOf(1e6); });
     cases.push_back({"transforms", "far-voxels",
