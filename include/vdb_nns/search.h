@@ -145,6 +145,12 @@ public:
     Measured measure(const SearchSets& sets, const std::vector<std::string>& measures,
                      const MeasureOptions& options);
 
+    /// The same, byte for byte, of lists that are there, wherever they were made, a device among them: nothing is searched but `nearest`.
+    /// `radius` and `nearest` of the options are those of the lists. The counts are these lists.
+    /// @throws as above, and InvalidInput for lists of counts alone and those that hold their own query
+    Measured measure(const NeighborLists& lists, const std::vector<std::string>& measures,
+                     const MeasureOptions& options);
+
     /// buildGrid(), then search().
     NeighborLists findNeighbors(const ParticleView& view, double radius, const SearchOptions& options = {});
 

@@ -160,26 +160,29 @@ private:
         return search(std::move(sets), makeSets);
     }
 
-    // `heldBytes`: of lists.
-    Measured measure(const SearchSets& sets, std::uint64_t heldBytes)
+    // Of lists that are there, or null.
+    Measured measure(const SearchSets& sets, const NeighborLists* lists)
     {
         MeasureOptions options = mReport.settled.measure;
         options.search = mReport.settled.search;
         options.search.radius = 0; // the sets are within it
-        options.search.hostMemoryBytes = mBudget.measureBytes(sets, heldBytes);
-        Measured measured = mEngine.measure(sets, mReport.settled.measures, options);
+        options.search.hostMemoryBytes = mBudget.measureBytes(sets, lists ? lists->bytes() : 0);
+        const std::vector<std::string>& names = mReport.settled.measures;
+        const bool areThere = lists && lists->encoding() != Encoding::kNone && !options.search.includeSelf;
+        Measured measured =
+            areThere ? mEngine.measure(*lists, names, options) : mEngine.measure(sets, names, options);
         mReport.measured = std::move(measured.values);
         mReport.measureSkipped = std::move(measured.skipped);
         mHasMeasured = true;
         return measured;
     }
 
-    // In a pass of its own, if the one that counted did not make the measures.
+    // From the lists if they are held, or in a pass of its own, if the one that counted did not make the measures.
     void measureApart(const NeighborLists& lists)
     {
         if (mHasMeasured || mReport.settled.measures.empty()) return;
         const double start = wallSeconds();
-        measure(lists.sets(), lists.bytes());
+        measure(lists.sets(), &lists);
         mReport.measureSeconds = wallSeconds() - start;
     }
 
@@ -193,7 +196,7 @@ private:
                 SearchOptions search = options.search;
                 search.hostMemoryBytes = mBudget.listBytes(sets, search.encoding);
                 const bool isCounted = search.encoding == Encoding::kNone && options.device.devices.empty();
-                if (isCounted && !options.measures.empty()) return measure(sets, 0).counts;
+                if (isCounted && !options.measures.empty()) return measure(sets, nullptr).counts;
                 if (options.device.devices.empty()) return mEngine.search(sets, search);
                 return searchOnDevices(gridOf(sets), search);
             } catch (const CapacityError& error) {

@@ -5,6 +5,7 @@
 #include "measure/cluster_pairs.h"
 #include "measure/measure_list.h"
 #include "measure/measure_memory.h"
+#include "measure/padded_rows.h"
 #include "measure/pair_positions.h"
 #include "measure/results.h"
 #include "measure/row_batch.h"
@@ -97,15 +98,23 @@ private:
     const IeeeMode mMode; // of the whole task
 };
 
+// What one thread of a pass over lists has.
+struct ListPass {
+    RowBatch batch;
+    PaddedRows rows;
+};
+
 // One call of measure().
 class MeasureJob {
 public:
-    MeasureJob(SearchEngine& engine, EngineState& state, const SearchSets& sets,
+    // `lists`: of the sets; null: they are searched.
+    MeasureJob(SearchEngine& engine, EngineState& state, const SearchSets& sets, const NeighborLists* lists,
                const std::vector<std::string>& names, const MeasureOptions& options)
         : mEngine(engine),
           mState(state),
           mOptions(options),
-          mSearch(searchOf(options)),
+          mSearch(searchOf(options, lists)),
+          mLists(lists),
           mSets(setsWithin(sets, options.search.radius)),
           mMeasures(measuresOf(names)),
           mCancel(options.search.progress, "measure")
@@ -124,8 +133,8 @@ public:
         if (mTargets->wantsClusters()) checkClusters(mSets, mSearch);
         Measured measured;
         beginPca();
-        measured.counts = mTargets->wantsRows() || mTargets->wantsClusters() ? pass(measured.skipped)
-                                                                             : mEngine.search(mSets, mSearch);
+        measured.counts =
+            mTargets->wantsRows() || mTargets->wantsClusters() ? pass(measured.skipped) : countNeighbors();
         if (mTargets->nearest) findNearest();
         writeCounts(measured.counts);
         measured.values = results.take();
@@ -133,9 +142,10 @@ public:
     }
 
 private:
-    static SearchOptions searchOf(const MeasureOptions& options)
+    static SearchOptions searchOf(const MeasureOptions& options, const NeighborLists* lists)
     {
         SearchOptions search = options.search;
+        if (lists) search.nearest = lists->data().nearest;
         search.encoding = Encoding::kNone;
         search.includeSelf = false;
         search.radius = 0; // the sets are within it
@@ -168,14 +178,15 @@ private:
         });
     }
 
+    NeighborLists countNeighbors() { return mLists ? *mLists : mEngine.search(mSets, mSearch); }
+
     NeighborLists pass(std::vector<Measured::Skipped>& skipped)
     {
         const double start = wallSeconds();
         std::optional<ClusterPairs> clusters;
         if (mTargets->wantsClusters()) {
             std::optional<CorePoints> cores;
-            if (mOptions.minNeighbors)
-                cores.emplace(mEngine.search(mSets, mSearch), *mOptions.minNeighbors, mCancel);
+            if (mOptions.minNeighbors) cores.emplace(countNeighbors(), *mOptions.minNeighbors, mCancel);
             clusters.emplace(mSets.rowCount(), std::move(cores), mState.clusters);
         }
         std::vector<std::unique_ptr<AveragedValues>> values;
@@ -185,27 +196,14 @@ private:
             positions.read(mSets.queries(), mSets.candidates(), mSets.data().largestRadius,
                            mSearch.hostMemoryBytes == 0, mCancel, mState.positions);
 
-        const SearchRuns runs(mSets, mSearch);
-        const std::shared_ptr<NeighborListsData> result = mState.beginLists(mSets, Encoding::kNone, mSearch);
-        mState.beginStatistics(mSearch);
-        ChunkPool pool(std::move(result->chunks));
-        mState.allowRows(runs, mSearch, 0, *result, pool);
         const double radius = mSets.data().radius.isOne() ? mSets.radius() : mSets.data().largestRadius;
         const RowMeasures measures{
             mSets.data(), kernelsFor(mSearch.simd).measure, positions, mOptions, *mTargets, averaged, radius};
-        tbb::enumerable_thread_specific<RowBatch> batches([&] { return RowBatch(measures); });
-        runs.forEach([&](const SearchRun& run) {
-            const bool isHalfEnough = !mTargets->wantsRows() && run.kernels.smaller;
-            const RowKind kind = isHalfEnough ? RowKind::kSmaller : RowKind::kVisit;
-            visitTasks(mState, run, kind, [&](const SearchRun& part, ThreadState&) {
-                return PassCallback(part, batches.local(), mTargets->wantsRows(),
-                                    clusters ? &*clusters : nullptr, result->rowCount.data() + part.firstRow);
-            });
-        });
-        mState.finishLists(runs, pool, *result);
-        mState.lists = result;
+        ClusterPairs* const pairs = clusters ? &*clusters : nullptr;
+        const NeighborLists counts =
+            mLists ? passOver(*mLists, measures, pairs) : passSearching(measures, pairs);
         if (clusters) {
-            const NeighborListsData& lists = *result;
+            const NeighborListsData& lists = counts.data();
             clusters->finish(*mTargets, mSets.rowCount(), mCancel,
                              [&](std::size_t i) { return lists.slotOf[i] != kNoSlot || isFinite(i); });
         }
@@ -214,7 +212,55 @@ private:
             mState.positions[k] = PageArray<char>();
             mState.clusters[k] = PageArray<char>();
         }
-        mState.statistics.searchSeconds = wallSeconds() - start;
+        if (!mLists) mState.statistics.searchSeconds = wallSeconds() - start;
+        return counts;
+    }
+
+    NeighborLists passOver(const NeighborLists& lists, const RowMeasures& measures,
+                           ClusterPairs* clusters) const
+    {
+        const bool wantsRows = mTargets->wantsRows();
+        const auto handOut = [&](ListPass& pass) {
+            pass.rows.handOut([&](const std::uint32_t* queries, const VisitedRows& rows) {
+                if (wantsRows) pass.batch.take(queries, rows);
+                if (!clusters) return;
+                rows.forEach([&](std::uint32_t row, const std::uint32_t* neighbors, std::uint32_t count) {
+                    clusters->add(queries[row], neighbors, count);
+                });
+            });
+        };
+        tbb::enumerable_thread_specific<ListPass> passes([&] { return ListPass{RowBatch(measures), {}}; });
+        lists.visitRows([&](std::uint32_t query, Span<const std::uint32_t> neighbors) {
+            ListPass& pass = passes.local();
+            pass.rows.add(query, neighbors);
+            if (!pass.rows.isFull()) return;
+            mCancel.check();
+            const IeeeMode mode;
+            handOut(pass);
+        });
+        const IeeeMode mode;
+        for (ListPass& pass : passes) handOut(pass);
+        return lists;
+    }
+
+    NeighborLists passSearching(const RowMeasures& measures, ClusterPairs* clusters)
+    {
+        const SearchRuns runs(mSets, mSearch);
+        const std::shared_ptr<NeighborListsData> result = mState.beginLists(mSets, Encoding::kNone, mSearch);
+        mState.beginStatistics(mSearch);
+        ChunkPool pool(std::move(result->chunks));
+        mState.allowRows(runs, mSearch, 0, *result, pool);
+        tbb::enumerable_thread_specific<RowBatch> batches([&] { return RowBatch(measures); });
+        runs.forEach([&](const SearchRun& run) {
+            const bool isHalfEnough = !mTargets->wantsRows() && run.kernels.smaller;
+            const RowKind kind = isHalfEnough ? RowKind::kSmaller : RowKind::kVisit;
+            visitTasks(mState, run, kind, [&](const SearchRun& part, ThreadState&) {
+                return PassCallback(part, batches.local(), mTargets->wantsRows(), clusters,
+                                    result->rowCount.data() + part.firstRow);
+            });
+        });
+        mState.finishLists(runs, pool, *result);
+        mState.lists = result;
         return NeighborLists(result);
     }
 
@@ -272,6 +318,7 @@ private:
     EngineState& mState;
     const MeasureOptions& mOptions;
     const SearchOptions mSearch;
+    const NeighborLists* const mLists;
     const SearchSets mSets;
     const std::vector<Measure> mMeasures;
     const CancelCheck mCancel;
@@ -283,7 +330,19 @@ private:
 Measured SearchEngine::measure(const SearchSets& sets, const std::vector<std::string>& measures,
                                const MeasureOptions& options)
 {
-    return isolated([&] { return MeasureJob(*this, *mImpl, sets, measures, options).run(); });
+    return isolated([&] { return MeasureJob(*this, *mImpl, sets, nullptr, measures, options).run(); });
+}
+
+Measured SearchEngine::measure(const NeighborLists& lists, const std::vector<std::string>& measures,
+                               const MeasureOptions& given)
+{
+    if (lists.encoding() == Encoding::kNone || lists.data().hasSelf)
+        throw InvalidInput(
+            "measures are made of lists of neighbors: search with encoding index or mask, and without "
+            "includeSelf");
+    MeasureOptions options = given;
+    options.search.radius = lists.sets().data().radius.isOne() ? lists.radius() : 0;
+    return isolated([&] { return MeasureJob(*this, *mImpl, lists.sets(), &lists, measures, options).run(); });
 }
 
 PointValues measure(const ParticleView& view, double radius, const std::vector<std::string>& measures,

@@ -4,6 +4,7 @@
 #include "plan/workload_cases.h"
 #include "support/comparator.h"
 #include "vdb_nns/error.h"
+#include "vdb_nns/measure.h"
 #include "vdb_nns/planning/executor.h"
 
 #include <gtest/gtest.h>
@@ -166,6 +167,33 @@ TEST_P(CudaSearch, AnyBudgetBoundaryAndBlockSizeGiveTheSameLists)
                     }
                 }
             }
+        }
+    }
+}
+
+// Measures of rows that devices found, summed up on the host.
+TEST_P(CudaSearch, MeasuresOfItsListsAreThoseOfASearch)
+{
+    const std::vector<std::string> names = {"count", "density", "nearest", "normal", "pca", "cluster"};
+    const auto bytesOf = [](const Measured& measured) {
+        std::string bytes;
+        for (const PointAttribute& a : measured.values.attributes)
+            bytes.append(static_cast<const char*>(a.values.get()), a.count * attributeBytes(a.type));
+        return bytes;
+    };
+    const SceneGrid scene("dam_break", 5000 * scale());
+    const EstimatedGrid problem(scene.grid);
+    const std::string expected = bytesOf(SearchEngine().measure(scene.grid, names, {}));
+    for (const Encoding encoding : {Encoding::kMask, Encoding::kIndex}) {
+        for (const std::uint64_t divisor : {1u, 6u}) {
+            RunOptions run;
+            run.schedule.useCpu = false;
+            ScheduleRun report;
+            const NeighborLists lists =
+                searchOn(problem, encoding, devicesOf(problem.need(encoding) / divisor), run, report);
+            EXPECT_GT(report.devices[0].particles, 0u);
+            EXPECT_TRUE(bytesOf(SearchEngine().measure(lists, names, {})) == expected)
+                << nameOf(encoding) << " /" << divisor;
         }
     }
 }

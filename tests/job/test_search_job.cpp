@@ -351,12 +351,12 @@ TEST(SearchJob, MakesMeasures)
         for (const Encoding encoding : {Encoding::kNone, Encoding::kIndex, Encoding::kMask}) {
             JobOptions options = jobOn(device);
             options.search.encoding = encoding;
-            options.measures = {"density", "cluster"};
+            options.measures = {"density", "cluster", "normal"};
             JobReport report;
             const NeighborLists lists =
                 SearchEngine().findNeighbors(view, scene.suggestedRadius, options, report);
             EXPECT_EQ(report.measureSeconds.has_value(), encoding != Encoding::kNone || device[0] == 's');
-            ASSERT_EQ(report.measured.attributes.size(), 2u);
+            ASSERT_EQ(report.measured.attributes.size(), 3u);
             bytes.emplace_back();
             for (const PointAttribute& a : report.measured.attributes)
                 bytes.back().append(static_cast<const char*>(a.values.get()),

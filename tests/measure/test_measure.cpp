@@ -18,6 +18,7 @@
 #include <cstring>
 #include <limits>
 #include <memory>
+#include <optional>
 #include <random>
 #include <string>
 #include <utility>
@@ -219,6 +220,41 @@ TEST(Measure, SameBytesForAllThreadsAndCells)
             options.search.cellSize = size;
             EXPECT_TRUE(measured(c.view, c.radius, values, options) == expected)
                 << c.name << ", cells of " << size;
+        }
+    }
+}
+
+// Lists that are there need no search.
+TEST(Measure, SameBytesFromLists)
+{
+    for (const Case& c : cases()) {
+        const Values values(c.view.size());
+        MeasureOptions options;
+        options.attributes = values.attributes();
+        for (const std::uint32_t nearest : {0u, 5u}) {
+            options.search.nearest = nearest;
+            SearchEngine searching;
+            const SearchSets sets = searching.buildGrid(c.view, c.radius);
+            std::vector<std::vector<std::string>> selections = {kRowMeasures,
+                                                                {"count", "isolated", "nonfinite"}};
+            if (nearest == 0) selections.push_back(kClusterMeasures);
+            for (const std::vector<std::string>& names : selections) {
+                options.minNeighbors =
+                    names == kClusterMeasures ? std::optional<std::uint32_t>(4) : std::nullopt;
+                const std::string expected = bytesOf(searching.measure(sets, names, options).values);
+                for (const Encoding encoding : {Encoding::kIndex, Encoding::kMask}) {
+                    if (nearest > 0 && encoding == Encoding::kMask) continue;
+                    SearchEngine engine;
+                    SearchOptions search;
+                    search.encoding = encoding;
+                    search.nearest = nearest;
+                    const NeighborLists lists = engine.search(sets, search);
+                    options.search.nearest = 0; // the lists know
+                    EXPECT_TRUE(bytesOf(engine.measure(lists, names, options).values) == expected)
+                        << c.name << ", nearest " << nearest << ", " << names.front();
+                    options.search.nearest = nearest;
+                }
+            }
         }
     }
 }
@@ -484,6 +520,11 @@ TEST(Measure, RefusesWhatCannotBe)
     const SearchSets sets = engine.buildGrid(view, 1);
     EXPECT_THROW(engine.measure(sets, {"density"}, with([](auto& o) { o.search.hostMemoryBytes = 1; })),
                  CapacityError);
+    SearchOptions counting, withSelf;
+    counting.encoding = Encoding::kNone;
+    withSelf.includeSelf = true;
+    for (const SearchOptions& search : {counting, withSelf})
+        EXPECT_THROW(engine.measure(engine.search(sets, search), {"density"}, {}), InvalidInput);
     try {
         measure(view, 1, {"densty"});
     } catch (const InvalidInput& error) {
