@@ -1,8 +1,10 @@
-// The study of measures: its truth by hand, its errors, and the order in which its methods come out.
+// The study of measures: its truth by hand, its errors, the order in which its methods come out, and when it fails.
+#include "bench/bench_verdict.h"
 #include "bench/measure_truth.h"
 #include "bench/methods/measure_methods.h"
 #include "bench/report/measure_report.h"
 #include "bench/studies/measure_study.h"
+#include "exit_codes.h"
 #include "vdb_nns/error.h"
 
 #include <gtest/gtest.h>
@@ -11,6 +13,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <exception>
 #include <limits>
 #include <map>
 #include <string>
@@ -256,6 +259,44 @@ TEST(BenchMeasureStudy, OfNobody)
     options.radius = 1;
     EXPECT_TRUE(studyMeasures({}, options, {silent, 0, 1}).empty());
     EXPECT_EQ(measuresText({}), "");
+}
+
+MeasureResult resultOf(const std::string& method, std::uint64_t wrong, std::uint64_t noneDiffers)
+{
+    MeasureResult result;
+    result.measure = "normal";
+    result.method = method;
+    result.isOurs = method == "ours";
+    result.checkedQueries = 9;
+    result.errors.wrong = wrong;
+    result.errors.noneDiffers = noneDiffers;
+    return result;
+}
+
+TEST(BenchVerdict, OnlyOursHasToBeRight)
+{
+    BenchReport report;
+    report.measures = {resultOf("ours", 0, 0), resultOf("half", 5, 5)};
+    EXPECT_NO_THROW(requireRight(report));
+    report.measures[0].errors.wrong = 1;
+    EXPECT_THROW(requireRight(report), CheckFailed);
+    report.measures[0] = resultOf("ours", 0, 2);
+    try {
+        requireRight(report);
+        FAIL();
+    } catch (const CheckFailed& error) {
+        EXPECT_STREQ(error.what(), "ours is wrong in normal: 2 values of 9 queries; please report it");
+    }
+}
+
+TEST(BenchVerdict, WhereAllRefusedTheFirstSaysWhy)
+{
+    BenchReport report;
+    report.measures = {resultOf("ours", 0, 0), resultOf("half", 0, 0)};
+    report.measures[0].refusal = std::make_exception_ptr(CapacityError("too much", 2, 1));
+    EXPECT_NO_THROW(requireRight(report));
+    report.measures[1].refusal = std::make_exception_ptr(InvalidInput("another"));
+    EXPECT_THROW(requireRight(report), CapacityError);
 }
 
 } // namespace
