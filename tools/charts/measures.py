@@ -89,7 +89,7 @@ def _draw(area, points, words, width, styles):
         area.plot([x - 3, x + 3], [top, top], color=color, lw=1, zorder=3)
         area.plot(x, y, marker=marker, ms=6.5, color=color, ls="none", zorder=4, clip_on=False)
         made.append(labels.Label(point.name, x, y, weight="bold" if point.name == "ours" else "normal"))
-        bars.append(((x, y), (x, top)))
-    labels.place_around(made, (2, 2, width, HEIGHT), lines=bars)
+        bars.append((x - 4, y + labels.CLEAR + 1, x + 4, top + 2))
+    labels.place_around(made, (2, 2, width, HEIGHT), boxes=bars)
     for point, label in zip(points, made):
         labels.draw(area, label, letters(styles[point.name][0]), LEADER)
