@@ -25,7 +25,7 @@ class Bench(CliCase):
             self.assertIn(name, names)
         self.check_nanoflann(names)
         for study in ("estimators", "budgets", "resolution", "scaling", "model_share", "savings", "files", "radii", "nearest",
-                      "stability"):
+                      "measures", "stability"):
             self.assertEqual(report[study], [])
         for result in report["results"]:
             self.assertEqual((result["scene"], result["points"]), ("clusters", 3000))
@@ -276,7 +276,7 @@ class Bench(CliCase):
         scene = {entry["scene"] for study in ("results", "estimators", "budgets", "resolution", "scaling", "model_share",
                                               "savings", "files") for entry in report[study]}
         self.assertEqual(scene, {"dam_break"})
-        for study in ("radii", "nearest"):
+        for study in ("radii", "nearest", "measures"):
             self.assertEqual({entry["scene"] for entry in report[study]}, {"dam_break"})
         self.assertEqual([round(100 * b["share"]) for b in report["budgets"]], 2 * [100, 50, 25, 10, 5, 2, 1])
         for budget in report["budgets"]:
@@ -372,6 +372,63 @@ class Bench(CliCase):
             for flag, value in (("--method", "ours-index"), ("--device", "sim"), ("--estimator", "all")):
                 self.fails(2, *args, study, flag, value, says="would change nothing here")
             self.fails(2, *args, "methods," + study, "--csv", self.path("x.csv"), says=["--csv is one table", "--json"])
+
+    def test_measures(self):
+        table = self.path("x.csv")
+        args = ("bench", "--scene", "block", "-n", "3000", "--study", "measures", "--repeat", "2")
+        rows = self.report(*args, "--csv", table)["measures"]
+        methods = ["ours", "float32", "half", "nearest32", "fxpt16", "fxpt8"]
+        self.assertEqual([(row["measure"], row["method"]) for row in rows],
+                         [(measure, method) for measure in ("density", "normal", "pca") for method in methods])
+        for row in rows:
+            self.assertEqual(set(row), {"scene", "measure", "method", "exact", "points", "runs", "seconds", "ratio", "accuracy",
+                                        "message"})
+            self.assertEqual((row["scene"], row["points"], row["runs"], row["message"]), ("block", 3000, 2, ""))
+            self.assertEqual(row["exact"], row["method"] == "ours")
+            seconds, accuracy = row["seconds"], row["accuracy"]
+            self.assertEqual(set(seconds), {"grid", "pass", "total", "min", "max", "counting"})
+            self.assertLessEqual(seconds["min"], seconds["total"])
+            self.assertLessEqual(seconds["total"], seconds["max"])
+            self.assertAlmostEqual(row["ratio"], seconds["pass"] / seconds["counting"])
+            self.assertEqual((accuracy["complete"], accuracy["checked_queries"]), (True, 3000))
+            self.assertEqual(accuracy["unit"], "degrees" if row["measure"] == "normal" else "relative")
+            self.assertEqual(accuracy["wrong"], 0 if row["exact"] else None)
+            self.assertEqual(accuracy["axis"] is None, row["measure"] != "pca")
+            for error in (accuracy, accuracy["axis"] or accuracy):
+                self.assertGreater(error["compared"], 500)
+                self.assertLessEqual(error["rms"], error["max"])
+                self.assertLessEqual(error["p99"], error["max"])
+            if row["exact"]:
+                self.assertEqual(accuracy["none_differs"], 0)
+            if (row["method"], row["measure"]) == ("half", "pca"):
+                self.assertGreater(accuracy["none_differs"], 0)
+        with open(table) as file:
+            lines = list(csv.DictReader(file))
+        for line, row in zip(lines, rows, strict=True):
+            self.assertEqual((line["measure"], line["method"]), (row["measure"], row["method"]))
+            for key in ("rms", "p99", "max"):
+                self.assertAlmostEqual(float(line[key]) / row["accuracy"][key], 1, delta=1e-5)
+            self.assertEqual(line["axis_rms"] == "", row["accuracy"]["axis"] is None)
+        out = self.succeeds(*args).out
+        self.assertRegex(out, r"(?m)^measures of 3000 particles; .*\nerrors of all 3000 queries; ")
+        self.assertRegex(out, r"(?m)^density: relative error\nmethod .*\nours +0\.")
+        self.assertRegex(out, r"(?m)^pca: .*\nmethod .* axis rms +99 % +max\nours +0\.")
+
+    def test_measures_on_a_sample(self):
+        args = ("bench", self.scene("block", 2000), "--study", "measures", "--repeat", "1", "--sample")
+        for row in self.report(*args, "100")["measures"]:
+            self.assertEqual((row["accuracy"]["complete"], row["accuracy"]["checked_queries"]), (False, 100))
+        self.assertIn("errors of a sample of 100 queries", self.succeeds(*args, "100").out)
+        for row in self.report(*args, "0")["measures"]:
+            self.assertEqual((row["accuracy"]["compared"], row["accuracy"]["rms"]), (0, None))
+        self.assertNotIn("errors of a", self.succeeds(*args, "0").out)
+
+    def test_flags_of_measures(self):
+        args = ("bench", "--scene", "block", "-n", "500", "--study")
+        for flag, value in (("--method", "ours-index"), ("--device", "sim"), ("--estimator", "all")):
+            self.fails(2, *args, "measures", flag, value, says="would change nothing here")
+        for other in ("methods", "radii"):
+            self.fails(2, *args, "measures," + other, "--csv", self.path("x.csv"), says=["--csv is one table", "--json"])
 
     def test_charts_without_matplotlib(self):
         page = self.path("page.html")

@@ -67,6 +67,15 @@ def full_report():
         "nearest": [{"scene": "block", "radii": "one", "mode": None, "nearest": 8, "method": "ours", "exact": True, "points": 1000,
                      "queries": 1000, "pairs": 8000, "seconds": {"grid": 0.1, "search": 0.2, "total": 0.3}, "ratio": 1,
                      "accuracy": {"missing": 0, "extra": 0, "wrong_per_million": 0}, "message": ""}],
+        "measures": [{"scene": "block", "measure": measure, "method": method, "exact": method == "ours", "points": 1000, "runs": 3,
+                      "seconds": {"grid": 0.1, "pass": time, "total": 0.1 + time, "min": time, "max": time, "counting": 0.1},
+                      "ratio": 10 * time, "message": "",
+                      "accuracy": {"complete": True, "checked_queries": 1000, "compared": 1000, "rms": error, "p99": 2 * error,
+                                   "max": 3 * error, "none_differs": 0, "wrong": None,
+                                   "unit": "degrees" if measure == "normal" else "relative",
+                                   "axis": {"compared": 9, "rms": error, "p99": error, "max": 7 * error} if measure == "pca" else None}}
+                     for measure in ("density", "normal", "pca")
+                     for method, time, error in (("ours", 0.3, 0), ("float32", 0.4, 1e-7), ("half", 0.35, 0.2))],
         "stability": [
             {"case": "NaN", "group": "numbers", "what": "One coordinate is no number.", "method": "ours-index", "verdict": "exact",
              "missing": 0, "extra": 0, "asymmetric": 0, "seconds": 1, "peak_rss_bytes": 10**7, "message": ""},
@@ -157,7 +166,7 @@ class Pages(ChartCase):
     def test_a_page_of_everything(self):
         page = self.page(full_report())
         for name in ("in-short", "speed-against-error", "results", "stability", "estimators", "memory-budget", "resolution", "scaling",
-                     "model-share", "no-more-than-a-scene-needs", "radii-of-particles", "the-nearest"):
+                     "model-share", "no-more-than-a-scene-needs", "radii-of-particles", "the-nearest", "measures"):
             self.assertIn(name, page.ids)
         self.assertNotIn("left-out", page.ids)
         self.assertEqual(len(page.ids), len(set(page.ids)))
@@ -165,13 +174,14 @@ class Pages(ChartCase):
         self.assertEqual([link for link in page.links if not (link.startswith("#") and link[1:] in page.ids)], [])
         self.assertNotIn("url(http", self.bytes_of("out.html").decode())
         for words in ("abc1234", "GNU 12.2.0", "A CPU", "4 cores", "8 GB", "vdb_nns 0.1.0", "blocks-mask (model)", "wrong 5.9 M", "wrong 321",
-                      "signal 11 <b>", "Pareto front", "MODEL", "auto", "75 %", "sampled10", "every query", "nanoflann-k", "block, mixed 1:4, symmetric", "block, the nearest 8"):
+                      "signal 11 <b>", "Pareto front", "MODEL", "auto", "75 %", "sampled10", "every query", "nanoflann-k", "block, mixed 1:4, symmetric", "block, the nearest 8",
+                      "block, pca", "0.20°", "block: measures, error against time", "direction of the longest axis"):
             self.assertIn(words, page.text)
         self.assertTrue(any("signal 11 <b>" in title and "peak 10 MB" in title for title in page.titles))
 
     def test_images(self):
         names = ["speed-error-block", "speed-error-spray", "stability", "estimators", "budgets", "scaling-points", "scaling-threads",
-                 "scaling-radius", "scaling-clustering"]
+                 "scaling-radius", "scaling-clustering", "measures-block"]
         self.assertEqual(run(self.path("x.html"), self.report("x.json", full_report()), "--images", self.path("deep", "images")), (0, ""))
         self.assertEqual(sorted(os.listdir(self.path("deep", "images"))), sorted(f"{n}.{e}" for n in names for e in ("png", "svg")))
         for name in names:
@@ -190,7 +200,7 @@ class Pages(ChartCase):
         page = self.page({"schema": 1, "command": "bench"})
         self.assertEqual(page.ids, ["left-out"])
         for flag in ("--study methods", "--stability", "--study estimators", "--study budgets", "--study resolution", "--study scaling",
-                     "--study model", "--study radii", "--study nearest"):
+                     "--study model", "--study radii", "--study nearest", "--study measures"):
             self.assertIn("vdb_nns bench " + flag, page.text)
         page = self.page({**full_report(), "stability": [], "savings": None})
         self.assertNotIn("stability", page.ids)
@@ -214,7 +224,7 @@ class Merging(ChartCase):
         one["results"] = [row for row in one["results"] if row["scene"] == "block"]
         two = {**two, "machine": {**two["machine"], "cpu": "Another CPU"}, "results": [result("far", "ours-index")]}
         for section in ("estimators", "budgets", "resolution", "scaling", "model_share", "savings", "radii", "nearest",
-                        "stability"):
+                        "measures", "stability"):
             two[section] = []
         page = self.page(one, two)
         for words in ("block: speed against error", "far: speed against error", "A CPU", "Another CPU", "Several machines"):
@@ -236,7 +246,7 @@ class OddData(ChartCase):
     def test_names(self):
         name = "a/b <i>$\\alpha$ & 'q' \"ü\" {} % 漢"
         content = full_report()
-        for section in ("results", "estimators", "budgets", "resolution", "scaling", "model_share", "savings"):
+        for section in ("results", "estimators", "budgets", "resolution", "scaling", "model_share", "savings", "measures"):
             for row in content[section]:
                 row["scene"] = row["scene"].replace("block", name)
                 row["method"] = "m <" + row.get("method", "")

@@ -16,20 +16,23 @@ struct StudyFlag {
 // Flags that are not here are heeded whatever is looked at.
 const std::vector<StudyFlag>& studyFlags()
 {
-    const std::vector<const char*> withPoints = {"methods", "estimators", "budgets", "resolution", "scaling",
-                                                 "model",   "files",      "radii",   "nearest"};
+    const std::vector<const char*> withPoints = {"methods", "estimators", "budgets", "resolution",
+                                                 "scaling", "model",      "files",   "radii",
+                                                 "nearest", "measures"};
     static const std::vector<StudyFlag> flags = {
         {"--method", {"methods", "stability"}},
         {"--estimator", {"estimators"}},
-        {"--csv", {"methods", "radii", "nearest"}},
-        {"--sample", {"methods", "scaling", "radii", "nearest"}},
+        {"--csv", {"methods", "radii", "nearest", "measures"}},
+        {"--sample", {"methods", "scaling", "radii", "nearest", "measures"}},
         {"--device", {"methods", "budgets", "model"}},
         {"--device-memory", {"methods", "budgets", "model"}},
         {"--sim", {"methods", "budgets", "model"}},
-        {"--cell-size", {"methods", "estimators", "budgets", "scaling", "model", "radii", "nearest"}},
+        {"--cell-size",
+         {"methods", "estimators", "budgets", "scaling", "model", "radii", "nearest", "measures"}},
         {"--repeat", withPoints},
         {"--shuffle",
-         {"methods", "estimators", "budgets", "resolution", "scaling", "model", "radii", "nearest"}},
+         {"methods", "estimators", "budgets", "resolution", "scaling", "model", "radii", "nearest",
+          "measures"}},
         {"--seed", withPoints},
         {"--points-out", withPoints},
         {"--radius", withPoints},

@@ -1,6 +1,6 @@
 """One HTML page of everything: no scripts, nothing loaded from elsewhere, light in dark browsers too."""
 
-from charts import budgets, estimators, scaling, speed_error, stability, tables
+from charts import budgets, estimators, measures, scaling, speed_error, stability, tables
 from charts.report import number, text
 from charts.style import escape, plain, size
 
@@ -50,6 +50,11 @@ RADII_HOW = (
 NEAREST_HOW = (
     "Of every list only the nearest within the radius. The engine, which is exact, beside full lists, full "
     "lists that are sorted and cut afterwards, and the nearest of a tree, with and without the radius."
+)
+MEASURES_HOW = (
+    "Density, normals and ellipsoids (pca) by the engine, by float32 sums over the exact neighbors, by half of the "
+    "neighbors, by the 32 nearest, and by the engine on positions stored in 16 and 8 bits. Low and left is good. "
+    "“One-sided” are values that only one of method and truth has: normals that are not 0, ellipsoids."
 )
 STABILITY_HOW = (
     "Cases in which methods of this kind are known to fail. The best answer is exact, the next best a "
@@ -122,6 +127,13 @@ def build(report):
         ),
         Section("Radii of particles", RADII_HOW, "--study radii", body=made(tables.radii, "radii")),
         Section("The nearest", NEAREST_HOW, "--study nearest", body=made(tables.nearest, "nearest")),
+        Section(
+            "Measures",
+            MEASURES_HOW,
+            "--study measures",
+            measures.charts(report, machine),
+            made(tables.measures, "measures"),
+        ),
     ]
     return _document(report, sections), [chart for section in sections for chart in section.charts]
 

@@ -16,6 +16,7 @@ KEYS = {
     "savings": ("scene", "part", "unit"),
     "radii": ("scene", "radii", "mode", "method"),
     "nearest": ("scene", "nearest", "method"),
+    "measures": ("scene", "measure", "method"),
     "stability": ("case", "group", "method"),
 }
 

@@ -443,3 +443,51 @@ def radii(report):
 
 def nearest(report):
     return _sets(report, "nearest", lambda row: f"{text(row, 'scene')}, the nearest {plain(number(row, 'nearest'))}")
+
+
+def measures(report):
+    """Time and errors of every measure by every method."""
+    titles = dict.fromkeys((text(row, "scene"), text(row, "measure")) for row in report["measures"])
+    return "\n".join(
+        f"<h3>{escape(scene)}, {escape(measure)}</h3>\n"
+        + _measure_table([row for row in report.of("measures", scene) if text(row, "measure") == measure])
+        for scene, measure in titles
+    )
+
+
+def _measure_table(rows):
+    unit = "°" if any(_unit(row) == "degrees" for row in rows) else ""
+
+    def error(key):
+        return lambda row: _with(number(row, "accuracy", key), unit)
+
+    def axis(key):
+        return lambda row: _with(number(row, "accuracy", "axis", key), "°")
+
+    return table(
+        rows,
+        [
+            Column("method", words("method"), style="text"),
+            Column("particles", value("points", show=short)),
+            Column("grid, s", value("seconds", "grid")),
+            Column("pass, s", value("seconds", "pass"), bar=lambda row: number(row, "seconds", "pass")),
+            Column("against<br>counting", value("ratio"), "the pass over that of counting alone"),
+            Column("error,<br>rms", error("rms")),
+            Column("99 %", error("p99")),
+            Column("largest", error("max")),
+            Column("one-sided", value("accuracy", "none_differs", show=short)),
+            Column("axis,<br>rms", axis("rms"), "of the longest axis, where the second is at most 0.9 of it"),
+            Column("99 %", axis("p99")),
+            Column("largest", axis("max")),
+            Column("message", words("message"), style="text long"),
+        ],
+        marked=lambda row: row.get("exact") is True,
+    )
+
+
+def _unit(row):
+    return text(row["accuracy"], "unit") if isinstance(row.get("accuracy"), dict) else ""
+
+
+def _with(amount, unit):
+    return plain(amount, 2) + ("" if amount is None else unit)

@@ -1,6 +1,7 @@
 #include "bench/report/bench_report.h"
 
 #include "bench/report/device_report.h"
+#include "bench/report/measure_report.h"
 #include "bench/report/set_report.h"
 #include "bench/report/study_report.h"
 #include "machine.h"
@@ -235,6 +236,7 @@ std::string benchJson(const BenchReport& report)
     json["files"] = filesJson(report.files);
     json["radii"] = setResultsJson(report.radii);
     json["nearest"] = setResultsJson(report.nearest);
+    json["measures"] = measureResultsJson(report.measures);
     json["stability"] = stabilityJson(report.stability);
     return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
@@ -285,7 +287,7 @@ std::string benchText(const BenchReport& report)
     return text + estimatorsText(report.estimators) + budgetsText(report.budgets) +
            resolutionText(report.resolution) + scalingText(report.scaling) + modelText(report.model) +
            filesText(report.files) + radiiText(report.radii) + nearestText(report.nearest) +
-           (report.stability.empty() ? "" : stabilityText(report.stability));
+           measuresText(report.measures) + (report.stability.empty() ? "" : stabilityText(report.stability));
 }
 
 } // namespace vdb_nns::cli

@@ -6,6 +6,7 @@
 #include "bench/studies/budget_study.h"
 #include "bench/studies/estimators.h"
 #include "bench/studies/file_study.h"
+#include "bench/studies/measure_study.h"
 #include "bench/studies/method_study.h"
 #include "bench/studies/model_study.h"
 #include "bench/studies/resolution_study.h"
@@ -30,6 +31,7 @@ struct BenchReport {
     ModelStudy model;
     std::vector<FileResult> files;
     std::vector<SetResult> radii, nearest;
+    std::vector<MeasureResult> measures;
     std::vector<StabilityTrial> stability;
 };
 
