@@ -35,7 +35,7 @@ std::optional<NpzSearchResult> searchToNpz(EngineState& engine, const SearchSets
 {
     requireKnown(options.form.values, ListValues::kDistance, "kind of values");
     requireKnown(options.form.order, RowOrder::kDistance, "order of rows");
-    return isolated([&]() -> std::optional<NpzSearchResult> {
+    return isolatedIeee([&]() -> std::optional<NpzSearchResult> {
         OrderedSearch rows(engine, sets, search);
         const double rowBytes = rows.expectedNeighbors() * sizeof(std::uint32_t);
         if (options.windowBytes == 0 || kDoubt * rowBytes * static_cast<double>(rows.windowRows()) >

@@ -267,7 +267,7 @@ void writeNpzRows(const std::string& path, const NpzRows& rows, const ListForm& 
     const CancelCheck cancel(progress, "write");
     cancel.update(0);
     OutputFile file(path, options);
-    isolated([&] { NpzStream(file, rows, form, cancel).write(); });
+    isolatedIeee([&] { NpzStream(file, rows, form, cancel).write(); });
     cancel.update(1);
     file.commit();
 }

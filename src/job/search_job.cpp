@@ -270,7 +270,7 @@ private:
         });
         plan.estimator = Estimator::kSampled;
         plan.total.particles = sets.finiteQueries();
-        const ListWork work = isolated([&] { return countListWork(runs, search.progress, "estimate"); });
+        const ListWork work = isolatedIeee([&] { return countListWork(runs, search.progress, "estimate"); });
         plan.total.candidateTests = work.candidateTests;
         plan.total.maskBytes = work.maskBytes;
         plan.everything.up = sets.bytes() + radiusBytes(sets);

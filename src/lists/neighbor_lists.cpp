@@ -158,7 +158,7 @@ void visitPart(const NeighborListsData& lists, const SearchPart& part, const Can
                             }
                         });
     };
-    isolated([&] {
+    isolatedIeee([&] {
         tbb::parallel_for(tbb::blocked_range<std::size_t>(0, grid.leafCount(), 4), [&](const auto& range) {
             isolated([&] { visitLeaves(range.begin(), range.end()); });
         });
@@ -220,7 +220,7 @@ std::uint32_t NeighborLists::count(std::size_t i) const
 std::vector<std::uint32_t> NeighborLists::counts() const
 {
     std::vector<std::uint32_t> counts(size());
-    isolated([&] {
+    isolatedIeee([&] {
         tbb::parallel_for(tbb::blocked_range<std::size_t>(0, size(), 4096), [&](const auto& range) {
             for (std::size_t i = range.begin(); i < range.end(); ++i) counts[i] = count(i);
         });

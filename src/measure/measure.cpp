@@ -330,7 +330,7 @@ private:
 Measured SearchEngine::measure(const SearchSets& sets, const std::vector<std::string>& measures,
                                const MeasureOptions& options)
 {
-    return isolated([&] { return MeasureJob(*this, *mImpl, sets, nullptr, measures, options).run(); });
+    return isolatedIeee([&] { return MeasureJob(*this, *mImpl, sets, nullptr, measures, options).run(); });
 }
 
 Measured SearchEngine::measure(const NeighborLists& lists, const std::vector<std::string>& measures,
@@ -342,7 +342,8 @@ Measured SearchEngine::measure(const NeighborLists& lists, const std::vector<std
             "includeSelf");
     MeasureOptions options = given;
     options.search.radius = lists.sets().data().radius.isOne() ? lists.radius() : 0;
-    return isolated([&] { return MeasureJob(*this, *mImpl, lists.sets(), &lists, measures, options).run(); });
+    return isolatedIeee(
+        [&] { return MeasureJob(*this, *mImpl, lists.sets(), &lists, measures, options).run(); });
 }
 
 PointValues measure(const ParticleView& view, double radius, const std::vector<std::string>& measures,

@@ -452,7 +452,7 @@ NeighborLists SearchEngine::search(const SparseGrid& grid, const Schedule& sched
     requireKnown(options.onFailure, DeviceFailure::kUseCpu, "treatment of failed devices");
     requireKnown(options.schedule.boundary, BoundaryMode::kAuto, "boundary mode");
     requireKnown(schedule.model.encoding, Encoding::kNone, "encoding of the schedule");
-    return isolated([&] {
+    return isolatedIeee([&] {
         const double start = wallSeconds();
         const NeighborLists lists = runSchedule(*mImpl, grid, schedule, devices, options, report);
         mImpl->statistics.searchSeconds = wallSeconds() - start;

@@ -375,7 +375,7 @@ WorkEstimate estimateLeaves(const SparseGrid& sparseGrid, const EstimateOptions&
 WorkEstimate estimateWork(const SparseGrid& grid, const EstimateOptions& options)
 {
     checkOptions(options);
-    return isolated([&] { return estimateLeaves(grid, options); });
+    return isolatedIeee([&] { return estimateLeaves(grid, options); });
 }
 
 std::vector<float> expectNeighbors(const SparseGrid& sparseGrid, const EstimateOptions& options)
@@ -393,7 +393,7 @@ std::vector<float> expectNeighbors(const SparseGrid& sparseGrid, const EstimateO
     const Model model(grid, overlapOf(grid, options, cancel));
     const Span<const std::uint32_t> numbers = sparseGrid.particleNumbers();
     const auto leaves = tbb::blocked_range<std::size_t>(0, grid.leafCount(), 64);
-    isolated([&] {
+    isolatedIeee([&] {
         tbb::parallel_for(leaves, [&](const auto& range) {
             cancel.check();
             model.forEachCell(range.begin(), range.end(),

@@ -146,7 +146,7 @@ WorkloadTree buildWorkloadTree(const SparseGrid& sparseGrid, const WorkEstimate&
     for (std::size_t begin = 0; begin < tree.nodes.size();) {
         const std::size_t end = tree.nodes.size();
         std::vector<std::vector<WorkloadNode>> children(end - begin);
-        isolated([&] {
+        isolatedIeee([&] {
             tbb::parallel_for(begin, end, [&](std::size_t i) {
                 cancel.check();
                 WorkloadNode& node = tree.nodes[i];

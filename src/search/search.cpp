@@ -39,7 +39,7 @@ SparseGrid makeGrid(EngineState& engine, const ParticleView& view, const Lattice
                     const SearchOptions& options)
 {
     checkOptions(options);
-    return isolated([&] {
+    return isolatedIeee([&] {
         const double start = wallSeconds();
         // The last lists hold the last grid; when nobody else reads them they let go of it.
         if (isSoleOwner(engine.lists)) engine.lists->sets = SearchSets();
@@ -70,7 +70,7 @@ Lattice chooseLattice(const ParticleView& view, double radius, const SearchOptio
 {
     checkRadius(radius);
     checkOptions(options);
-    return isolated([&] { return findLattice(view.source(), radius, options); });
+    return isolatedIeee([&] { return findLattice(view.source(), radius, options); });
 }
 
 SearchSets SearchEngine::sort(const ParticleSet& candidates, const ParticleSet& queries, const Radius& radius,
@@ -80,7 +80,7 @@ SearchSets SearchEngine::sort(const ParticleSet& candidates, const ParticleSet& 
                         queries.chosen.empty() && radius.isOne();
     if (areOne) return buildGrid(queries.view, radius.value, options); // in the memory of the last one
     checkOptions(options);
-    return isolated([&] {
+    return isolatedIeee([&] {
         const double start = wallSeconds();
         if (isSoleOwner(mImpl->lists)) mImpl->lists->sets = SearchSets();
         const auto sets =
@@ -105,7 +105,7 @@ NeighborLists SearchEngine::search(const ParticleSet& candidates, const Particle
 NeighborLists SearchEngine::search(const SearchSets& sets, const SearchOptions& options)
 {
     checkOptions(options);
-    return isolated([&] {
+    return isolatedIeee([&] {
         const double start = wallSeconds();
         const SearchRuns runs(setsWithin(sets, options.radius), options);
         const std::shared_ptr<NeighborListsData> result =
@@ -199,7 +199,7 @@ void visitAll(EngineState& engine, const SearchSets& sets, const SearchOptions& 
     SearchOptions options = given;
     if (options.encoding == Encoding::kMask) options.encoding = Encoding::kIndex; // has no meaning here
     checkOptions(options);
-    isolated([&] {
+    isolatedIeee([&] {
         const double start = wallSeconds();
         const SearchRuns runs(setsWithin(sets, options.radius), options);
         engine.beginStatistics(options);
@@ -226,7 +226,7 @@ void SearchEngine::visitRows(const SearchSets& sets, const RowVisitor& visitor, 
 
 std::uint64_t countCandidateTests(const SearchSets& sets)
 {
-    return isolated(
+    return isolatedIeee(
         [&] { return countListWork(SearchRuns(sets, SearchOptions()), nullptr, "count").candidateTests; });
 }
 

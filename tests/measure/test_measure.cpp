@@ -267,6 +267,8 @@ TEST(Measure, SameBytesWhateverTheHostSet)
     for (int k = 0; k < 90; ++k) tiny.push_back(static_cast<float>(k) * 1e-41f);
     const ParticleView tinyView = ParticleView::fromArray(tiny.data(), tiny.size() / 3);
     const std::string tinyExpected = bytesOf(measure(tinyView, 1, {"pca"}));
+    const std::vector<std::uint32_t> tinyCounts = countNeighbors(tinyView, 1e-40);
+    EXPECT_EQ(tinyCounts[0], 1u);
 
     const PointSet set = arraySets(Precision::kFloat)[5];
     const std::vector<float> floats = floatsOf(set);
@@ -287,6 +289,7 @@ TEST(Measure, SameBytesWhateverTheHostSet)
             EXPECT_EQ(_mm_getcsr() & 0xffc0u, host);
             EXPECT_TRUE(bytes == expected) << mode;
             EXPECT_TRUE(tinyBytes == tinyExpected) << mode;
+            EXPECT_EQ(countNeighbors(tinyView, 1e-40), tinyCounts) << mode;
         });
         _mm_setcsr(before);
     }

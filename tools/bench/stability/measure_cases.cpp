@@ -27,11 +27,10 @@ CaseParticles withTask(CaseParticles particles, MeasureTask task)
     return particles;
 }
 
-CaseParticles measured(CaseParticles particles, bool mayPassRange = false, bool hasDenormalPositions = false)
+CaseParticles measured(CaseParticles particles, bool mayPassRange = false)
 {
     MeasureTask task = makeMeasureTask(candidatesOf(particles));
     task.mayPassRange = mayPassRange;
-    task.hasDenormalPositions = hasDenormalPositions;
     return withTask(std::move(particles), std::move(task));
 }
 
@@ -55,9 +54,7 @@ void addOthers(std::vector<StabilityCase>& cases)
             std::find_if(all.begin(), all.end(), [&](const StabilityCase& c) { return c.name == name; });
         if (found == all.end()) throw std::logic_error("no case '" + name + "' to be measured");
         cases.push_back({"measures", "measures-" + name, "measures of the case " + name,
-                         [make = found->make, mayPassRange, isDenormal = name == "scale-1e-40"] {
-                             return measured(make(), mayPassRange, isDenormal);
-                         }});
+                         [make = found->make, mayPassRange] { return measured(make(), mayPassRange); }});
     };
     for (const char* name : {"empty",
                              "one",

@@ -21,8 +21,6 @@ struct MeasureTask {
     double mass = 1;
     /// Densities, distances and eigenvalues may be beyond the range of floats: infinite.
     bool mayPassRange = false;
-    /// Where a host flushes denormals, the search takes such positions for 0: then other pairs are measured.
-    bool hasDenormalPositions = false;
 };
 
 /// A number of an attribute, where `largest` is the largest that its type holds; vectors take three in a row.

@@ -348,7 +348,7 @@ private:
                 mMeasured.push_back(
                     {names, options, method->measure(search, names, options, {mProgress, 0, 1})});
         };
-        if (plan.isOtherWay && !particles.measures->hasDenormalPositions) {
+        if (plan.isOtherWay) {
             const FlushedDenormals mode;
             tbb::task_arena(1).execute(measureAll); // an arena has what was set when it was made
         } else {
