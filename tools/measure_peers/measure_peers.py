@@ -33,7 +33,7 @@ def bound_memory():
 
 
 class Program:
-    """A program that was run: what it printed, its seconds from start to end and its largest resident memory."""
+    """A program that was run: what it printed, its seconds from start to end, those of all CPUs, and its largest resident memory."""
 
     def __init__(self, *words):
         begin = time.perf_counter()
@@ -43,6 +43,7 @@ class Program:
         self.text = process.stdout.read()
         _, status, usage = os.wait4(process.pid, 0)
         self.seconds = time.perf_counter() - begin
+        self.cpu_seconds = usage.ru_utime + usage.ru_stime
         self.megabytes = usage.ru_maxrss / 1000
         if status != 0:
             sys.exit(f"measure_peers.py: {' '.join(map(str, words))} failed:\n{self.text}")
@@ -90,19 +91,26 @@ class Ours:
 def compare_ellipsoids(ours, peer):
     points, radius = ours.scene("clusters", "2M")
     made = os.path.join(ours.folder, "pca.npz")
+    words = ("--attributes", "pca", "--attributes-output", made)
     over_counting = []
     sizes = {"r/2": radius / 2, "r": radius, "2r": radius * 2}
+    cpu = {name: [] for name in sizes}
     rows = {name: Comparison(f"`points::pca`, clusters 2 M, voxels of {name}") for name in sizes}
     values = {name: os.path.join(ours.folder, f"pca_{name.replace('/', '_')}.f64") for name in sizes}
     for _ in range(ROUNDS):
         count_seconds, _ = ours.search(points, radius, "--encoding", "none", "--repeat", 3)
-        seconds, run = ours.search(points, radius, "--attributes", "pca", "--attributes-output", made, "--repeat", 3)
+        seconds, run = ours.search(points, radius, *words, "--repeat", 3)
         over_counting.append(seconds / count_seconds)
         for name, size in sizes.items():
             theirs = Program(peer, points, radius, size, THREADS, values[name])
             rows[name].add(0, seconds, run.megabytes)
-            rows[name].add(1, float(theirs.text), theirs.megabytes)
+            seconds_there, cpu_there = map(float, theirs.text.split())
+            rows[name].add(1, seconds_there, theirs.megabytes)
+            cpu[name].append(cpu_there)
+    once, more = (ours.search(points, radius, *words, "--repeat", count)[1].cpu_seconds for count in (1, 5))
+    own = (more - once) / 4
     notes = [f"pca over counting, both ours, clusters 2 M: {statistics.median(over_counting):.1f}"]
+    notes += [f"pca, voxels of {name}, CPU seconds: ours {own:.2f}, theirs {statistics.median(cpu[name]):.2f}" for name in sizes]
     notes += [f"pca, voxels of {name}: {ellipsoid_difference(made, values[name], radius)}" for name in sizes]
     return list(rows.values()), notes
 
