@@ -136,9 +136,10 @@ public:
 
     /// Makes measures of each query's neighbors: see measure.h. All share one pass over the neighbors, but `nearest`, which takes
     /// another one, and DBSCAN, which counts neighbors first.
-    /// Cost: that of counting, and for each pair a few nanoseconds. Memory: 16 bytes a particle (32 of arrays of doubles), the
-    /// results, and up to 8 bytes a number of each attribute that is averaged, with a fourth one for vectors; clusters take 8 bytes a
-    /// particle, those of DBSCAN 13.
+    /// Cost: that of counting, and for each pair a few nanoseconds. Memory: 16 bytes a particle (32 of arrays of doubles, of grids
+    /// whose radius passes 250 voxels or where no bound of host memory is set, and of sets with different transforms), the
+    /// results, and up to 8 bytes a number of each attribute that is averaged, with a fourth one for vectors; clusters take 8 bytes
+    /// a particle, those of DBSCAN 13.
     /// @throws InvalidInput for a bad name or option, an attribute that is not among the options, a wrong number of values,
     ///         clusters where not every particle is both query and candidate or lists are cut to the nearest; CapacityError,
     ///         Cancelled

@@ -152,7 +152,7 @@ void checkNewVdb(const std::string& path, const ParticleView& view, const NewGri
 {
     checkVoxelSize(path, options.voxelSize);
     if (options.voxelSize == 0) return; // what is chosen holds all of them
-    isolated([&] {
+    isolatedIeee([&] {
         const CancelCheck cancel(progress, "read");
         checkExtent(path, WorldPositions(view).measure(cancel), options.voxelSize);
     });
@@ -161,7 +161,7 @@ void checkNewVdb(const std::string& path, const ParticleView& view, const NewGri
 WrittenPoints writeNewVdb(const std::string& path, const ParticleView& view, const PointValues& values,
                           const NewGridOptions& options, const OutputOptions& output, Progress* progress)
 {
-    return isolated([&] {
+    return isolatedIeee([&] {
         const CancelCheck cancel(progress, "write");
         cancel.update(0);
         checkVoxelSize(path, options.voxelSize);

@@ -202,7 +202,7 @@ WrittenPoints factsOf(const WorldPositions& positions, const CancelCheck& cancel
 WrittenPoints writePointsNpz(const std::string& path, const ParticleView& view, const PointValues& values,
                              const OutputOptions& output, Progress* progress)
 {
-    return isolated([&] {
+    return isolatedIeee([&] {
         const CancelCheck cancel(progress, "write");
         cancel.update(0);
         checkValues(path + ": ", values, view.size());
@@ -222,7 +222,7 @@ WrittenPoints writePointsNpz(const std::string& path, const ParticleView& view, 
 void writeArraysNpz(const std::string& path, const PointValues& values, const OutputOptions& output,
                     Progress* progress)
 {
-    isolated([&] {
+    isolatedIeee([&] {
         const CancelCheck cancel(progress, "write");
         cancel.update(0);
         std::uint64_t count = 0;
@@ -240,7 +240,7 @@ void writeArraysNpz(const std::string& path, const PointValues& values, const Ou
 WrittenPoints writePointsNpy(const std::string& path, const ParticleView& view, const OutputOptions& output,
                              Progress* progress)
 {
-    return isolated([&] {
+    return isolatedIeee([&] {
         const CancelCheck cancel(progress, "write");
         cancel.update(0);
         const WorldPositions positions(view);

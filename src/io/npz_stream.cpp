@@ -350,7 +350,7 @@ void streamNpzRows(const std::string& path, const NpzRowSource& source, const Li
     NpzLayout layout = beginNpz(shape, source.pairCount(), form.values);
     beginFile(file, layout);
     writeEnds(file, places, layout.members[NpzLayout::kIndptr], cancel);
-    isolated([&] {
+    isolatedIeee([&] {
         writeRows({file, source, places, layout, cancel, form.values == ListValues::kDistance,
                    form.order == RowOrder::kDistance},
                   layout, threadBytes, progress);

@@ -161,7 +161,7 @@ private:
 WrittenPoints writePly(const std::string& path, const ParticleView& view, const PointValues& values,
                        const OutputOptions& output, Progress* progress)
 {
-    return isolated([&] {
+    return isolatedIeee([&] {
         const CancelCheck cancel(progress, "write");
         cancel.update(0);
         checkValues(path + ": ", values, view.size());

@@ -307,7 +307,7 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
         }
     };
     try {
-        isolated(readFile);
+        isolatedIeee(readFile);
     } catch (const std::bad_alloc&) {
         throw CapacityError(path + ": the points of its " +
                                 std::to_string(static_cast<std::size_t>(file.size())) +
@@ -336,7 +336,7 @@ const PointFileInfo& PointFile::info() const
     }
     // Not under the lock: whoever else asks meanwhile measures too, and the first one's result stays.
     PointFileInfo info = data.info;
-    isolated([&] { measure(data.view.source(), info); });
+    isolatedIeee([&] { measure(data.view.source(), info); });
     const std::lock_guard<std::mutex> lock(data.mutex);
     if (!data.fullInfo) data.fullInfo = std::move(info);
     return *data.fullInfo;
@@ -351,7 +351,7 @@ std::vector<double> PointFile::readScalars(const std::string& name, Progress* pr
                            " file has no named values; a .vdb has attributes and a .ply properties; give "
                            "radii of other points as an .npy file (--radius-file)");
     }
-    return isolated([&] {
+    return isolatedIeee([&] {
         const CancelCheck cancel(progress, "read");
         const InputFile file(path);
         checkUnchanged(file, data.fileBytes);
@@ -371,7 +371,7 @@ std::vector<StoredValue> PointFile::listValues(Progress* progress) const
     if (!data.vdb && data.info.format != "npz") {
         return listPlyProperties(data.info.attributes);
     }
-    return isolated([&] {
+    return isolatedIeee([&] {
         const CancelCheck cancel(progress, "read");
         const InputFile file(data.info.path);
         checkUnchanged(file, data.fileBytes);
@@ -389,7 +389,7 @@ PointValues PointFile::readValues(const std::vector<StoredValue>& which, Progres
             throw InvalidInput(data.info.path + ": '" + value.name + "' " + value.problem);
     }
     if (which.empty()) return {};
-    return isolated([&] {
+    return isolatedIeee([&] {
         const CancelCheck cancel(progress, "read");
         const InputFile file(data.info.path);
         checkUnchanged(file, data.fileBytes);
@@ -423,7 +423,7 @@ std::vector<std::uint8_t> PointFile::readGroups(const std::string& list, Progres
         throw InvalidInput(data.info.path + ": a ." + data.info.format +
                            " file has no point groups; only those of a .vdb file are read");
     }
-    return isolated([&] {
+    return isolatedIeee([&] {
         const CancelCheck cancel(progress, "read");
         const InputFile file(data.info.path);
         checkUnchanged(file, data.fileBytes);
@@ -433,7 +433,7 @@ std::vector<std::uint8_t> PointFile::readGroups(const std::string& list, Progres
 
 std::vector<double> readRadiusFile(const std::string& path, std::uint64_t count, Progress* progress)
 {
-    return isolated([&] {
+    return isolatedIeee([&] {
         const CancelCheck cancel(progress, "read");
         return parseValues(InputFile(path), {}, availableMemoryBytes(), cancel,
                            [&](const ArrayFile& array) { return parseNpyValues(array, count); });
@@ -455,7 +455,7 @@ void PointFile::writeVdb(const std::string& path, const PointValues& values, con
                            ": result attributes are written to .vdb files only, and this is a ." +
                            mData->info.format + " file; write lists (.npz) instead");
     }
-    isolated(
+    isolatedIeee(
         [&] { writeVdbResult(mData->info.path, mData->vdb->chosenGrid(), path, values, options, progress); });
 }
 

@@ -168,9 +168,10 @@ private:
         options.search.radius = 0; // the sets are within it
         options.search.hostMemoryBytes = mBudget.measureBytes(sets, lists ? lists->bytes() : 0);
         const std::vector<std::string>& names = mReport.settled.measures;
-        const bool areThere = lists && lists->encoding() != Encoding::kNone && !options.search.includeSelf;
+        const bool canReadLists =
+            lists && lists->encoding() != Encoding::kNone && !options.search.includeSelf;
         Measured measured =
-            areThere ? mEngine.measure(*lists, names, options) : mEngine.measure(sets, names, options);
+            canReadLists ? mEngine.measure(*lists, names, options) : mEngine.measure(sets, names, options);
         mReport.measured = std::move(measured.values);
         mReport.measureSkipped = std::move(measured.skipped);
         mHasMeasured = true;

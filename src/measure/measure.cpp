@@ -20,6 +20,7 @@
 #include <tbb/enumerable_thread_specific.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <memory>
 #include <optional>
@@ -152,7 +153,7 @@ private:
         return search;
     }
 
-    void checkMemory() const
+    void checkMemory()
     {
         const std::uint64_t needed = mSets.bytes() + MeasureMemory(mMeasures, mOptions).bytes(mSets);
         const std::uint64_t allowed =
@@ -162,6 +163,8 @@ private:
                                     std::to_string(allowed) +
                                     ": ask for fewer measures, or allow more host memory",
                                 needed, allowed);
+        const std::uint64_t more = PairPositions::bytesMoreAsDoubles(mSets.queries(), mSets.candidates());
+        mMayBeDoubles = mSearch.hostMemoryBytes == 0 && more <= allowed - needed;
     }
 
     // What points have that nobody is near: their position, and no rotation.
@@ -193,8 +196,8 @@ private:
         const std::vector<AveragedAttribute> averaged = readAveraged(values, skipped);
         PairPositions positions;
         if (mTargets->wantsRows())
-            positions.read(mSets.queries(), mSets.candidates(), mSets.data().largestRadius,
-                           mSearch.hostMemoryBytes == 0, mCancel, mState.positions);
+            positions.read(mSets.queries(), mSets.candidates(), mSets.data().largestRadius, mMayBeDoubles,
+                           mCancel, mState.positions);
 
         const double radius = mSets.data().radius.isOne() ? mSets.radius() : mSets.data().largestRadius;
         const RowMeasures measures{
@@ -230,15 +233,15 @@ private:
             });
         };
         tbb::enumerable_thread_specific<ListPass> passes([&] { return ListPass{RowBatch(measures), {}}; });
+        std::atomic<std::uint64_t> done{0};
+        const double all = static_cast<double>(std::max<std::size_t>(1, lists.size()));
         lists.visitRows([&](std::uint32_t query, Span<const std::uint32_t> neighbors) {
             ListPass& pass = passes.local();
             pass.rows.add(query, neighbors);
             if (!pass.rows.isFull()) return;
-            mCancel.check();
-            const IeeeMode mode;
+            mCancel.update(static_cast<double>(done += pass.rows.count()) / all);
             handOut(pass);
         });
-        const IeeeMode mode;
         for (ListPass& pass : passes) handOut(pass);
         return lists;
     }
@@ -323,6 +326,7 @@ private:
     const std::vector<Measure> mMeasures;
     const CancelCheck mCancel;
     const MeasureTargets* mTargets = nullptr;
+    bool mMayBeDoubles = false; // positions
 };
 
 } // namespace

@@ -1,5 +1,6 @@
 #include "measure/measure_memory.h"
 
+#include "grid/search_sets_data.h"
 #include "measure/pair_positions.h"
 #include "vdb_nns/point_values.h"
 
@@ -50,7 +51,7 @@ std::uint64_t MeasureMemory::bytes(const SearchSets& sets) const
 {
     if (mResultBytesEach == 0) return 0;
     return mResultBytesEach * sets.rowCount() + mAveragedBytesEach * sets.columnCount() +
-           PairPositions::bytesFor(sets.queries(), sets.candidates());
+           PairPositions::bytesFor(sets.queries(), sets.candidates(), sets.data().largestRadius);
 }
 
 } // namespace vdb_nns

@@ -13,7 +13,9 @@ namespace vdb_nns {
 class PaddedRows {
 public:
     // Enough for the batches that measures are made of.
-    bool isFull() const { return mNumbers.size() >= kNumbers; }
+    bool isFull() const { return mNumbers.size() >= kNumbers || mQueries.size() >= kNumbers; }
+
+    std::size_t count() const { return mQueries.size(); }
 
     void add(std::uint32_t query, Span<const std::uint32_t> neighbors)
     {
@@ -36,7 +38,7 @@ public:
     }
 
 private:
-    static constexpr std::size_t kNumbers = 4096;
+    static constexpr std::size_t kNumbers = 16384;
     std::vector<std::uint32_t> mQueries, mNumbers, mLengths;
 };
 

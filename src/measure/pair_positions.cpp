@@ -17,10 +17,9 @@ namespace vdb_nns {
 
 namespace {
 
-std::size_t bytesOf(PositionRecord record)
-{
-    return record == PositionRecord::kFloats || record == PositionRecord::kVoxels ? 16 : 32;
-}
+// That the voxels of two neighbors differ by, for packed ones: those have nine bits, and what rounding adds is far below the voxels that
+// are spared.
+constexpr double kMostVoxels = 250;
 
 PairMap mapOf(const ParticleSource& source, bool isWorld)
 {
@@ -35,6 +34,11 @@ PairMap mapOf(const ParticleSource& source, bool isWorld)
         }
     }
     return map;
+}
+
+std::uint64_t particlesOf(const ParticleView& queries, const ParticleView& candidates)
+{
+    return candidates.size() + (&queries.source() == &candidates.source() ? 0 : queries.size());
 }
 
 // The most that the voxels of two neighbors may differ by beside the offsets: their distance in voxels.
@@ -184,8 +188,6 @@ Copy PairPositions::copy(PositionRecord record, bool isWorld, const CancelCheck&
 void PairPositions::read(const ParticleView& queries, const ParticleView& candidates, double radius,
                          bool mayBeDoubles, const CancelCheck& cancel, PageArray<char> (&memory)[2])
 {
-    // A packed voxel has nine bits; what rounding adds is far below the voxels that are spared.
-    constexpr double kMostVoxels = 250;
     constexpr std::uint64_t kLeastPerUnknown =
         1000; // particles: looking an unknown one up takes a hundred times as long
     mQueries = &queries.source();
@@ -204,7 +206,7 @@ void PairPositions::read(const ParticleView& queries, const ParticleView& candid
             const std::uint64_t unknown =
                 copy<WholeCopy>(PositionRecord::kDoubles, false, cancel, memory).unknown;
             mHasUnknown = unknown > 0;
-            if (unknown <= (mQueries->size() + mCandidates->size()) / kLeastPerUnknown) return;
+            if (unknown <= particlesOf(queries, candidates) / kLeastPerUnknown) return;
             mHasUnknown = false;
         }
         const double offsets = 2 * copy<VoxelCopy>(PositionRecord::kVoxels, false, cancel, memory).largest;
@@ -228,13 +230,19 @@ Vec3d PairPositions::lookUp(std::uint32_t query, std::uint32_t candidate) const
     return w;
 }
 
-std::uint64_t PairPositions::bytesFor(const ParticleView& queries, const ParticleView& candidates)
+std::uint64_t PairPositions::bytesFor(const ParticleView& queries, const ParticleView& candidates,
+                                      double radius)
 {
-    const bool isOne = &queries.source() == &candidates.source();
-    const bool isDouble = !haveSameCoordinates(queries.source(), candidates.source()) ||
-                          !queries.source().hasFloats() || !candidates.source().hasFloats();
-    return (candidates.size() + (isOne ? 0 : queries.size())) *
-           bytesOf(isDouble ? PositionRecord::kDoubles : PositionRecord::kFloats);
+    const ParticleSource& source = queries.source();
+    const bool isAlike = haveSameCoordinates(source, candidates.source());
+    const bool areFloats = isAlike && source.hasFloats() && candidates.source().hasFloats() &&
+                           (source.isArray() || voxelsApart(source, radius) + 1 < kMostVoxels);
+    return particlesOf(queries, candidates) * (areFloats ? sizeof(FloatPosition) : sizeof(DoublePosition));
+}
+
+std::uint64_t PairPositions::bytesMoreAsDoubles(const ParticleView& queries, const ParticleView& candidates)
+{
+    return particlesOf(queries, candidates) * (sizeof(DoublePosition) - sizeof(VoxelPosition9));
 }
 
 } // namespace vdb_nns

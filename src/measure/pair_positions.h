@@ -32,8 +32,10 @@ public:
     // Candidate less query, with the map, from the stored positions.
     Vec3d lookUp(std::uint32_t query, std::uint32_t candidate) const;
 
-    // Of the copies that read() would make, unless they may be doubles.
-    static std::uint64_t bytesFor(const ParticleView& queries, const ParticleView& candidates);
+    // Of the copies that read() would make, unless they may be doubles; where offsets stay in their voxels.
+    static std::uint64_t bytesFor(const ParticleView& queries, const ParticleView& candidates, double radius);
+    // What they would take more if they were doubles.
+    static std::uint64_t bytesMoreAsDoubles(const ParticleView& queries, const ParticleView& candidates);
 
 private:
     template <typename Copy>

@@ -146,7 +146,7 @@ void RowBatch::take(const std::uint32_t* queries, const VisitedRows& rows)
 {
     const std::uint32_t* numbers = rows.numbers;
     for (std::size_t r = 0; r < rows.rows; r += mGroups.rows) {
-        mCounts = rows.counts + r;
+        mCounts = rows.lengths + r;
         mGroups.rows = listGroups(mCounts, rows.rows - r);
         mGroups.groups = mFirstGroup.back();
         mGroups.numbers = numbers;

@@ -134,6 +134,7 @@ void ThreadState::reserveHalo(HaloScratch& scratch, std::size_t particles)
     // Vector code reads and writes up to two vectors past the end. An odd number of lines keeps the arrays from falling
     // on the same cache sets.
     scratch.stride = ((capacity + HaloScratch::kStagingSlack) * sizeof(float) / 64 | 1) * 64;
+    scratch.base = nullptr; // until there is memory again
     self.mHaloMemory = PageBlock();
     self.mHaloMemory = PageBlock(HaloScratch::kStrides * scratch.stride);
     scratch.base = static_cast<char*>(self.mHaloMemory.data());
@@ -155,6 +156,9 @@ void ThreadState::beginCallbacks(RowCallback& callback, const SearchTask& task, 
 {
     mCallback = &callback;
     const std::size_t queries = task.endSlot - task.firstSlot;
+    // A task that was stopped may have left rows that nobody took.
+    visited.out = static_cast<std::uint32_t*>(mVisitedRows.data());
+    visited.end = visited.out + mVisitedRows.bytes() / sizeof(std::uint32_t);
     mVisitedBegin.resize(queries);
     mVisitedCount.assign(queries, 0);
     visited.slotBase = visited.nextSlot = mVisited = task.firstSlot;

@@ -236,8 +236,8 @@ class Outputs(MeasureCase):
             self.assertEqual((kept, left_out), ([(name, types[name]) for name in names], []))
             for name in names:
                 np.testing.assert_array_equal(found[name], values[name][found["id"]], name)
-            kept, left_out, found = self.kept(source, self.path("x.ply"), "--keep", "none")
-            self.assertEqual((kept, left_out), ([], []))
+        kept, left_out, _ = self.kept(source, self.path("x.ply"), "--keep", "none")
+        self.assertEqual((kept, left_out), ([], []))
         # Properties are the file's, then the measures; groups become properties too.
         self.succeeds("search", source, "-r", 0.1, "--attributes", "density,isolated", "-o", self.path("x.ply"), "-f", "-q",
                       "--keep", "v,fluid,mass")

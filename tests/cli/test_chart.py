@@ -71,7 +71,7 @@ def full_report():
                       "seconds": {"grid": 0.1, "pass": time, "total": 0.1 + time, "min": time, "max": time, "counting": 0.1},
                       "ratio": 10 * time, "message": "",
                       "accuracy": {"complete": True, "checked_queries": 1000, "compared": 1000, "rms": error, "p99": 2 * error,
-                                   "max": 3 * error, "none_differs": 0, "wrong": None,
+                                   "max": 3 * error, "one_sided": 0, "wrong": None,
                                    "unit": "degrees" if measure == "normal" else "relative",
                                    "axis": {"compared": 9, "rms": error, "p99": error, "max": 7 * error} if measure == "pca" else None}}
                      for measure in ("density", "normal", "pca")

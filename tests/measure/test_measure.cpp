@@ -483,6 +483,37 @@ TEST(Measure, StopsWhenAskedTo)
     EXPECT_TRUE(bytesOf(engine.measure(sets, names, {}).values) == expected);
 }
 
+// All pairs are in the band, and the kernels ask between them: what a stopped one leaves behind is nobody's row.
+TEST(Measure, AnEngineThatWasStoppedGoesOn)
+{
+    std::vector<float> pair;
+    for (int k = 0; k < 3000; ++k) pair.insert(pair.end(), {static_cast<float>(k % 2), 0, 0});
+    const PointSet set = arraySets(Precision::kFloat)[5];
+    const std::vector<float> floats = floatsOf(set);
+    const ParticleView few = ParticleView::fromArray(floats.data(), set.points.size());
+    const std::vector<std::string> names = {"density", "pca", "cluster"};
+    const std::string expected = bytesOf(measure(few, set.radius, names));
+    SearchEngine engine;
+    int stopped = 0;
+    for (int after = 0; after < 270; after += 19) {
+        StopAtOnce progress(after);
+        MeasureOptions options;
+        options.search.progress = &progress;
+        tbb::task_arena(1).execute([&] {
+            const SearchSets sets = engine.buildGrid(ParticleView::fromArray(pair.data(), 3000), 1);
+            try {
+                engine.measure(sets, {"density"}, options);
+            } catch (const Cancelled&) {
+                ++stopped;
+            }
+            const std::string bytes =
+                bytesOf(engine.measure(engine.buildGrid(few, set.radius), names, {}).values);
+            EXPECT_TRUE(bytes == expected) << after;
+        });
+    }
+    EXPECT_GT(stopped, 10);
+}
+
 TEST(Measure, RefusesWhatCannotBe)
 {
     const std::vector<float> xyz = {0, 0, 0, 1, 0, 0};

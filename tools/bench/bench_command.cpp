@@ -87,10 +87,8 @@ void addFlags(CLI::App& app, BenchFlags& flags)
            "(cell sizes), scaling (particles, threads, radius, clustering), model (what planning takes and "
            "saves), files (reading, writing and whole commands), "
            "radii (of particles, against the largest one, octaves and K nearest), nearest (K within the "
-           "radius, "
-           "against full lists cut afterwards), measures (density, normal and pca by several ways, error "
-           "against "
-           "time), or all; default: methods, with --chart all")
+           "radius, against full lists cut afterwards), measures (density, normal and pca made in several "
+           "ways: error against time), or all; default: methods, with --chart all")
         ->type_name("LIST")
         ->check(notEmpty());
     app.add_flag(

@@ -62,7 +62,7 @@ void requireOneOf(const std::vector<Result>& results)
 void requireRightMeasures(const std::vector<MeasureResult>& results)
 {
     for (const MeasureResult& result : results) {
-        const std::uint64_t wrong = result.errors.wrong + result.errors.noneDiffers;
+        const std::uint64_t wrong = result.errors.wrong + result.errors.oneSided;
         if (!result.isOurs || wrong == 0) continue;
         throw CheckFailed("ours is wrong in " + result.measure + ": " + std::to_string(wrong) +
                           " values of " + std::to_string(result.checkedQueries) +

@@ -46,6 +46,7 @@ TrueMeasures measuresOf(const Neighborhood& near)
     result.stretch = rounded(pca.stretch.value.data());
     result.stretchBound = largestOf(pca.stretch.bound);
     result.axis = rounded(pca.axes[0].data());
+    if (pca.axisBound[0]) result.axisBound = static_cast<double>(*pca.axisBound[0]);
     result.hasAxis =
         pca.axisBound[0].has_value() && result.stretch[1] <= TrueMeasures::kMostSecond * result.stretch[0];
     return result;
@@ -114,8 +115,9 @@ private:
     void addDensity(const TrueMeasures& truth)
     {
         const double density = mValues.density[truth.query], off = std::fabs(density - truth.density);
-        if (!std::isfinite(density)) {
-            ++mErrors.noneDiffers;
+        if (!std::isfinite(density)) { // beyond the range of floats it is infinite
+            const bool isRight = density > 0 && !std::isfinite(static_cast<float>(truth.density));
+            mErrors.oneSided += isRight ? 0 : 1;
             return;
         }
         mErrors.wrong += off > truth.densityBound + floatRounding(truth.density);
@@ -128,7 +130,7 @@ private:
         const Vec3d normal = vectorAt(mValues.normal, truth.query);
         const bool isThere = isFinite(normal) && dot(normal, normal) > 0;
         const bool isTrue = dot(truth.normal, truth.normal) > 0;
-        mErrors.noneDiffers += isThere != isTrue;
+        mErrors.oneSided += isThere != isTrue;
         if (!isThere || !isTrue) return;
         mErrorOfValue.push_back(angle(normal, truth.normal));
         mErrors.wrong += largestDifference(normal, truth.normal) > truth.normalBound + floatRounding(1);
@@ -138,15 +140,21 @@ private:
     {
         const Vec3d stretch = vectorAt(mValues.stretch, truth.query);
         const bool isThere = mValues.ellipsoids[truth.query] != 0 && isFinite(stretch);
-        mErrors.noneDiffers += isThere != truth.isEllipsoid;
+        mErrors.oneSided += isThere != truth.isEllipsoid;
         if (!isThere || !truth.hasStretch) return;
         const double off = largestDifference(stretch, truth.stretch), largest = truth.stretch[0];
         mErrorOfValue.push_back(off / largest);
-        mErrors.wrong += off > truth.stretchBound + floatRounding(largest);
+        const bool isStretchWrong = off > truth.stretchBound + floatRounding(largest);
+        mErrors.wrong += isStretchWrong;
         if (!truth.hasAxis) return;
         const float* const xform = mValues.xform + 9 * static_cast<std::size_t>(truth.query);
-        const double between = angle({xform[0], xform[3], xform[6]}, truth.axis);
-        mErrorOfAxis.push_back(std::min(between, 180 - between)); // an axis has no sign
+        Vec3d axis{xform[0], xform[3], xform[6]};
+        if (dot(axis, truth.axis) < 0) { // an axis has no sign
+            for (double& component : axis) component = -component;
+        }
+        mErrorOfAxis.push_back(angle(axis, truth.axis));
+        const bool isAxisWrong = largestDifference(axis, truth.axis) > truth.axisBound + floatRounding(1);
+        mErrors.wrong += isAxisWrong && !isStretchWrong;
     }
 
     const std::string mMeasure;

@@ -24,7 +24,7 @@ struct TrueMeasures {
         false; ///< the direction is determined: it is not what rounding leaves of a sum of nothing
     bool isEllipsoid = false, hasStretch = false;
     Vec3d stretch{}, axis{}; ///< axis: of the largest eigenvalue
-    double stretchBound = 0;
+    double stretchBound = 0, axisBound = 0;
     /// The second axis is at most kMostSecond of the first: else its direction says little.
     bool hasAxis = false;
 
@@ -50,7 +50,7 @@ struct MeasureErrors {
     std::optional<ErrorSummary> axis; ///< pca: angle of the longest axis in degrees, where that is determined
     /// Values that are there in one of the two alone: of normals those that are not 0, of pca ellipsoids. What is not finite is not
     /// there.
-    std::uint64_t noneDiffers = 0;
+    std::uint64_t oneSided = 0;
     /// Values that are farther off than the rounding of doubles and of a float can explain.
     std::uint64_t wrong = 0;
 };

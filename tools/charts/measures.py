@@ -62,10 +62,13 @@ def _subtitle(rows):
     first = typical(rows)
     checked, points = number(first, "accuracy", "checked_queries"), number(first, "points")
     whole = isinstance(first.get("accuracy"), dict) and first["accuracy"].get("complete") is True
+    names = dict.fromkeys(text(row, "method") for row in rows if not any(
+        Point(row, path).drawable() for measure, path, _, _ in PANELS if measure == text(row, "measure")))
+    left_out = "\nnot drawn, for they have no time or were not checked: " + ", ".join(names) if names else ""
     return (
         f"{short(points)} particles · against formulas in long double over the exact neighbors of "
         f"{'all' if whole else plain(checked)} particles\n"
-        f"marks: root mean square · bars: up to the largest error · medians of {plain(number(first, 'runs'))} runs"
+        f"marks: root mean square · bars: up to the largest error · medians of {plain(number(first, 'runs'))} runs{left_out}"
     )
 
 
@@ -80,7 +83,7 @@ def _draw(area, points, words, width, styles):
         area.axhspan(0, zero, color=BAND, lw=0, zorder=0)
     grid(area, up)
     area.set_ylabel(words + ", logarithmic")
-    area.set_xlabel("time of the pass, in that of counting alone")
+    area.set_xlabel("time of the pass / time of counting alone")
     made, bars = [], []
     for point in points:
         x, y, top = across.at(point.time), up.at(point.rms), up.at(point.most)

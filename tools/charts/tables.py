@@ -475,7 +475,7 @@ def _measure_table(rows):
             Column("error,<br>rms", error("rms")),
             Column("99 %", error("p99")),
             Column("largest", error("max")),
-            Column("one-sided", value("accuracy", "none_differs", show=short)),
+            Column("one-sided", value("accuracy", "one_sided", show=short)),
             Column("axis,<br>rms", axis("rms"), "of the longest axis, where the second is at most 0.9 of it"),
             Column("99 %", axis("p99")),
             Column("largest", axis("max")),

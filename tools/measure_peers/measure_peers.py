@@ -44,9 +44,13 @@ class Program:
         _, status, usage = os.wait4(process.pid, 0)
         self.seconds = time.perf_counter() - begin
         self.cpu_seconds = usage.ru_utime + usage.ru_stime
-        self.megabytes = usage.ru_maxrss / 1000
+        self.megabytes = usage.ru_maxrss * 1024 / 1e6
         if status != 0:
             sys.exit(f"measure_peers.py: {' '.join(map(str, words))} failed:\n{self.text}")
+
+    def last_line(self):
+        """What a program prints itself; libraries may warn before."""
+        return self.text.rstrip().splitlines()[-1]
 
 
 class Comparison:
@@ -104,7 +108,7 @@ def compare_ellipsoids(ours, peer):
         for name, size in sizes.items():
             theirs = Program(peer, points, radius, size, THREADS, values[name])
             rows[name].add(0, seconds, run.megabytes)
-            seconds_there, cpu_there = map(float, theirs.text.split())
+            seconds_there, cpu_there = map(float, theirs.last_line().split())
             rows[name].add(1, seconds_there, theirs.megabytes)
             cpu[name].append(cpu_there)
     once, more = (ours.search(points, radius, *words, "--repeat", count)[1].cpu_seconds for count in (1, 5))
@@ -167,7 +171,7 @@ def compare_clusters(ours, points, radius):
         theirs = Program(sys.executable, script, points, radius, MIN_NEIGHBORS + 1, THREADS, theirs_made)
         for row, own in ((whole, run.seconds), (alone, seconds)):
             row.add(0, own, run.megabytes)
-            row.add(1, float(theirs.text), theirs.megabytes)
+            row.add(1, float(theirs.last_line()), theirs.megabytes)
     return [whole, alone], [cluster_difference(made, theirs_made)]
 
 

@@ -19,13 +19,13 @@ std::uint64_t bytesForReading(std::uint64_t boundBytes)
 
 } // namespace
 
-void checkReadingPeak(std::uint64_t boundBytes)
+void checkReadingPeak(std::uint64_t boundBytes, const std::string& what, const std::string& instead)
 {
     const std::uint64_t peak = peakMemoryBytes();
     if (boundBytes == 0 || peak < boundBytes) return;
-    throw CapacityError("reading the points took " + std::to_string(peak) +
+    throw CapacityError("reading " + what + " took " + std::to_string(peak) +
                             " bytes, the program included, and " + "--host-memory allows " +
-                            std::to_string(boundBytes) + ": allow more host memory",
+                            std::to_string(boundBytes) + ": allow more host memory" + instead,
                         peak, boundBytes);
 }
 

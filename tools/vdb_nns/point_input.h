@@ -25,8 +25,10 @@ PointFile readPoints(const InputFlags& input, const PointNeeds& needs, const Pro
                      Session& session, SearchReport& report);
 
 /// Reading may have taken more than it kept.
+/// @param what that was read; `instead` ends the message with what may be done besides
 /// @throws CapacityError where the process has had more resident than the bound; 0: no bound
-void checkReadingPeak(std::uint64_t boundBytes);
+void checkReadingPeak(std::uint64_t boundBytes, const std::string& what = "the points",
+                      const std::string& instead = "");
 
 /// IN, and what the flags about queries name; fills what the report says of that too.
 /// @throws as readPoints() and readQueryInput(); CheckFailed for a bad radius or query where such points fail

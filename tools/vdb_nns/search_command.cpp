@@ -81,8 +81,8 @@ void addFlags(CLI::App& app, SearchFlags& flags)
         ->check(notEmpty());
     app.add_option(
            "--keep", flags.keep,
-           "attributes and groups of a .vdb, properties of a .ply, arrays of an .npz that come along into "
-           "a .ply or a new .vdb: all, none, or names separated by commas")
+           "attributes and groups of a .vdb, properties of a .ply, arrays of an .npz to copy into a .ply or "
+           "a new .vdb: all, none, or names separated by commas")
         ->type_name("LIST")
         ->check(notEmpty())
         ->capture_default_str()
@@ -427,7 +427,8 @@ int searchFile(const SearchFlags& flags, const SearchPlan& plan, int threads, Se
         options.written.keptBytes = outputs.kept.bytesEach();
         if (!flags.common.quiet) warnOfLeftOut(outputs.kept.leftOut);
     }
-    checkReadingPeak(options.search.hostMemoryBytes);
+    checkReadingPeak(options.search.hostMemoryBytes, "the points and the values that come along",
+                     ", or leave values out with --keep none");
 
     SearchEngine engine;
     JobReport job;

@@ -34,7 +34,7 @@ Json accuracyJson(const MeasureResult& r)
     Json json = {{"complete", r.isComplete}, {"checked_queries", r.checkedQueries}};
     json["unit"] = r.measure == "normal" ? "degrees" : "relative";
     json.update(errorJson(r.errors.value));
-    json["none_differs"] = r.errors.noneDiffers;
+    json["one_sided"] = r.errors.oneSided;
     json["wrong"] = r.isOurs ? Json(r.errors.wrong) : Json(nullptr);
     json["axis"] = r.errors.axis ? errorJson(*r.errors.axis) : Json(nullptr);
     return json;
@@ -69,7 +69,7 @@ std::string rowText(const MeasureResult& r)
     if (!r.message.empty()) return text + "refused: " + r.message + "\n";
     text += format("%9.4f %9.4f %9.4f %7.2f", r.gridSeconds, r.passSeconds, r.totalSeconds, r.ratio);
     text += errorText(r.errors.value);
-    text += r.checkedQueries > 0 ? format(" %9llu", wide(r.errors.noneDiffers)) : format(" %9s", "-");
+    text += r.checkedQueries > 0 ? format(" %9llu", wide(r.errors.oneSided)) : format(" %9s", "-");
     return text + (r.errors.axis ? errorText(*r.errors.axis) : "") + "\n";
 }
 
@@ -105,7 +105,7 @@ std::string measureResultsCsv(const std::vector<MeasureResult>& results)
 {
     std::string text = "scene,measure,method,exact,points,runs,grid_seconds,pass_seconds,total_seconds,min_"
                        "seconds,max_seconds,"
-                       "counting_seconds,ratio,complete,checked_queries,compared,rms,p99,max,none_differs,"
+                       "counting_seconds,ratio,complete,checked_queries,compared,rms,p99,max,one_sided,"
                        "axis_compared,axis_rms,"
                        "axis_p99,axis_max\n";
     for (const MeasureResult& r : results) {
@@ -115,7 +115,7 @@ std::string measureResultsCsv(const std::vector<MeasureResult>& results)
         text += format(",%.6f,%.6f,%.6f,%.6f,%.6f,%.6f,%.4f", r.gridSeconds, r.passSeconds, r.totalSeconds,
                        r.minSeconds, r.maxSeconds, r.countingSeconds, r.ratio);
         text += format(",%d,%llu", r.isComplete, wide(r.checkedQueries)) + csvError(r.errors.value);
-        text += format(",%llu", wide(r.errors.noneDiffers)) + csvError(r.errors.axis) + "\n";
+        text += format(",%llu", wide(r.errors.oneSided)) + csvError(r.errors.axis) + "\n";
     }
     return text;
 }

@@ -1,4 +1,4 @@
-// The study of measures: density, normals and ellipsoids by several ways, error against time.
+// The study of measures: density, normals and ellipsoids made in several ways: error against time.
 #pragma once
 
 #include "bench/bench_points.h"
