@@ -258,7 +258,7 @@ class TooLittle(CliCase):
 
     def test_less_than_the_grid(self):
         path = self.scene("block", 300000)
-        self.fails(4, "search", path, "-o", self.path("x.npz"), "--host-memory", self.own_and(43),
+        self.fails(4, "search", path, "-o", self.path("x.npz"), "--host-memory", self.own_and(46),
                    says=["grid of 300000 particles", "bytes", "the host memory allowed, which is"])
 
     def test_less_than_the_counts(self):
