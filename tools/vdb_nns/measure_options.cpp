@@ -8,6 +8,7 @@
 #include <cctype>
 #include <cmath>
 #include <cstdint>
+#include <iterator>
 #include <limits>
 #include <optional>
 #include <utility>
@@ -235,6 +236,13 @@ std::vector<PointAttribute> readAveraged(const PointFile& file, const std::vecto
 }
 
 } // namespace
+
+const char* kernelName(SmoothingKernel kernel)
+{
+    return std::find_if(std::begin(kKernels), std::end(kKernels),
+                        [&](const KernelName& known) { return known.kernel == kernel; })
+        ->name;
+}
 
 void addMeasureFlags(CLI::App& app, MeasureFlags& flags, const std::string& without)
 {

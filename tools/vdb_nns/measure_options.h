@@ -22,6 +22,9 @@ struct MeasureFlags {
 /// @param without what is taken without --attributes, where that has no default
 void addMeasureFlags(CLI::App& app, MeasureFlags& flags, const std::string& without = {});
 
+/// As --kernel has it.
+const char* kernelName(SmoothingKernel kernel);
+
 /// What the flags ask for.
 struct MeasurePlan {
     std::vector<std::string> names; ///< of measures

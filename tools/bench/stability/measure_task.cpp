@@ -76,7 +76,6 @@ std::vector<MeasureOptions> measurePasses(const MeasureTask& task)
         options.kernel = kernel;
         options.pca = pca;
         options.minNeighbors = minNeighbors;
-        options.mass = task.mass;
         options.masses = {task.masses.data(), task.masses.size()};
         options.attributes = {viewAttribute("f", AttributeType::kFloat, task.floats.data(), count),
                               viewAttribute("d", AttributeType::kDouble, task.doubles.data(), count),

@@ -17,8 +17,7 @@ struct MeasureTask {
     std::vector<float> floats, floatVectors;    ///< the attributes f and v (vec3s)
     std::vector<double> doubles, doubleVectors; ///< d and w (vec3d)
     std::vector<std::int32_t> integers;         ///< i
-    std::vector<double> masses;                 ///< empty: `mass` for all
-    double mass = 1;
+    std::vector<double> masses;                 ///< empty: 1 for all
     /// Densities, distances and eigenvalues may be beyond the range of floats: infinite.
     bool mayPassRange = false;
 };

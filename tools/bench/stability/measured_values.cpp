@@ -2,6 +2,7 @@
 
 #include "bench/stability/measure_task.h"
 #include "bench/stability/value_ranges.h"
+#include "measure_options.h"
 #include "numbers.h"
 #include "report.h"
 #include "vdb_nns/error.h"
@@ -14,21 +15,6 @@
 
 namespace vdb_nns::cli {
 namespace {
-
-const char* kernelName(SmoothingKernel kernel)
-{
-    switch (kernel) {
-    case SmoothingKernel::kCubic:
-        return "cubic";
-    case SmoothingKernel::kWendland2:
-        return "wendland2";
-    case SmoothingKernel::kPoly6:
-        return "poly6";
-    case SmoothingKernel::kTophat:
-        break;
-    }
-    return "tophat";
-}
 
 SearchTerms termsOf(const CaseParticles& particles)
 {
