@@ -10,8 +10,11 @@
 #include "vdb_nns/error.h"
 #include "vdb_nns/version.h"
 
+#include <tbb/task_arena.h>
+
 #include <algorithm>
 #include <csignal>
+#include <cstddef>
 #include <new>
 #include <utility>
 
@@ -97,6 +100,20 @@ std::string memoryFlags(const CLI::App& command)
     return text;
 }
 
+// Keeps TBB's scheduler. Where memory ends while oneTBB (2022.1) starts it, it waits for itself for ever: so it starts before anything
+// else, with room for it.
+class TbbScheduler {
+public:
+    TbbScheduler()
+    {
+        if (!isFree(std::size_t(8) << 20)) throw std::bad_alloc();
+        mArena.initialize();
+    }
+
+private:
+    tbb::task_arena mArena{1};
+};
+
 int runCommand(const CLI::App& app, const std::vector<Command>& commands, bool asMarkdown, Session& session)
 {
     if (asMarkdown) {
@@ -106,6 +123,7 @@ int runCommand(const CLI::App& app, const std::vector<Command>& commands, bool a
     for (const Command& command : commands) {
         if (!command.app->parsed()) continue;
         session.memoryFlags = memoryFlags(*command.app);
+        const TbbScheduler scheduler;
         return command.run(session);
     }
     throw InvalidInput("no command given; see vdb_nns --help");

@@ -7,6 +7,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <new>
 #include <stdexcept>
 #include <system_error>
 
@@ -17,12 +18,20 @@ namespace {
 
 std::terminate_handler gDefaultHandler = nullptr;
 
+[[noreturn]] void explainNoMemory()
+{
+    std::fputs("vdb_nns: error: the memory is used up; use a machine with more memory\n", stderr);
+    ::_exit(kNoRoom);
+}
+
 [[noreturn]] void explainTermination()
 {
     claimEnd();
     removeTemporaryFiles();
     try {
         if (std::current_exception()) throw;
+    } catch (const std::bad_alloc&) {
+        explainNoMemory();
     } catch (const std::exception& error) {
         if (isThreadFailure(error)) {
             std::fprintf(stderr, "vdb_nns: error: %s\n", threadAdvice(error).c_str());
@@ -34,15 +43,25 @@ std::terminate_handler gDefaultHandler = nullptr;
     std::abort();
 }
 
-void installTerminateHandler()
+void prepareForLibraries()
 {
     gDefaultHandler = std::set_terminate(explainTermination);
+    // Without memory the initialisers of oneTBB (2022.1) crash. Those of log4cplus have taken the stacks of four threads by then.
+    constexpr std::size_t kOfLibraries = std::size_t(48) << 20;
+    if (!isFree(kOfLibraries)) explainNoMemory();
 }
 
 // Runs before the initialisers of the shared libraries.
-[[gnu::section(".preinit_array"), gnu::used]] void (*const kBeforeLibraries)() = installTerminateHandler;
+[[gnu::section(".preinit_array"), gnu::used]] void (*const kBeforeLibraries)() = prepareForLibraries;
 
 } // namespace
+
+bool isFree(std::size_t bytes)
+{
+    void* volatile const block = std::malloc(bytes); // a call that no compiler leaves out
+    std::free(block);
+    return block != nullptr;
+}
 
 void claimEnd()
 {
