@@ -273,12 +273,6 @@ void pairs(const PairGroups& groups, const void* queries, const void* candidates
     }
 }
 
-inline void roots(const PairGroups& groups, double* square)
-{
-    for (std::size_t k = 0; k < groups.groups * kGroup; k += SimdD::kLanes)
-        SimdD::store(square + k, SimdD::sqrt(SimdD::load(square + k)));
-}
-
 template <typename Record>
 void vectors(const PairGroups& groups, const void* values, double* x, double* y, double* z)
 {

@@ -12,13 +12,15 @@ constexpr MeasureKernels kMeasureKernels = {
     {pairs<FloatPosition>, pairs<DoublePosition>, pairs<VoxelPosition9>, pairs<WideVoxelPosition>},
     {vectors<FloatPosition>, vectors<DoublePosition>},
     {scalars<float>, scalars<double>},
-    roots,
     weights,
     scales,
     sums,
     moments,
+    pcaSums,
     least,
-    eigen};
+    distanceSums,
+    axes,
+    stretches};
 
 } // namespace
 } // namespace vdb_nns

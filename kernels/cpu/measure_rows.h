@@ -81,10 +81,6 @@ struct PairGroups {
 using PairsFunction = void (*)(const PairGroups& groups, const void* queries, const void* candidates,
                                const PairMap& map, double* x, double* y, double* z, double* square);
 
-// Distances in place of their squares. Apart from what makes the squares: the roots would wait for those, and little else fits into
-// the processor's window meanwhile.
-using RootsFunction = void (*)(const PairGroups& groups, double* square);
-
 // Vectors of the candidates, from FloatPosition or DoublePosition.
 using VectorsFunction = void (*)(const PairGroups& groups, const void* values, double* x, double* y,
                                  double* z);
@@ -94,53 +90,75 @@ using ScalarsFunction = void (*)(const PairGroups& groups, const void* values, d
 // Weights by q = min(distance / radius, 1), 1 at 0: SmoothingKernel without its constant, and that of points::pca.
 enum class PairWeight : std::uint8_t { kCubic, kWendland2, kPoly6, kTophat, kPca };
 
-// `inverse`: of the radius of each pair; where `inverseStep` is 0, of all. `areSquares`: distances are given by their squares, and
-// come in their place.
-using WeightsFunction = void (*)(PairWeight weight, const PairGroups& groups, double* distance,
-                                 bool areSquares, const double* inverse, std::size_t inverseStep,
-                                 double* out);
+// Inverses of the radii: of each pair, or one for all.
+struct PairRadii {
+    const double* inverse;
+    bool areAlike;
+};
 
 // What a row's sums are made with: powers of two. Infinite terms have no scale: `scale` is 0, and `inverse` infinite.
 struct RowScale {
     double scale, inverse;
 };
 
+// Weights, and each row's sum of them at scales known before. `areSquares`, here and below: distances are given by their squares, and
+// come in their place. That is apart from what makes the squares: the roots would wait for those, and little else fits into the
+// processor's window meanwhile. `scratch`, here and below: kGroup numbers for each group and one group more, times the number of sums.
+using WeightsFunction = void (*)(PairWeight weight, const PairGroups& groups, double* distance,
+                                 bool areSquares, const PairRadii& radii, const RowScale* scales,
+                                 std::uint64_t* scratch, double* out, double* sums);
+
 // Scales of terms that are at most `greatest` in each row, or as large as the row's own: the greatest of weight times the largest
 // magnitude among the factors, of which there are 0 to 3.
 using ScalesFunction = void (*)(const PairGroups& groups, const double* greatest, const double* weight,
                                 const double* const* factors, int factorCount, RowScale* out);
 
-// For each row sum(weight), or sum(weight factor) of each factor, one after the other. `scratch`: kGroup numbers for each group and
-// one group more, times the number of sums.
+// For each row sum(weight), or sum(weight factor) of each factor, one after the other.
 using SumsFunction = void (*)(const PairGroups& groups, const RowScale* scales, const double* weight,
                               const double* const* factors, int factorCount, std::uint64_t* scratch,
                               double* out);
 
-// For each row sum(weight (v - c) (v - c)^T), c its `centers`, three numbers each: xx, yy, zz, xy, xz, yz. `scratch`: for six sums.
+// For each row sum(weight (v - c) (v - c)^T), c its `centers`, three numbers each: xx, yy, zz, xy, xz, yz.
 using MomentsFunction = void (*)(const PairGroups& groups, const double* weight, const double* x,
                                  const double* y, const double* z, const double* centers, RowScale* scales,
                                  std::uint64_t* scratch, double* out);
 
-// For each row the least distance; infinity for one without pairs. Makes the distances of pads 0.
-using LeastFunction = void (*)(const PairGroups& groups, double* distance, double* out);
+// For each row, with weights of kind kPca and differences u in units of the radius: sum(weight), sum(weight u) and
+// sum(weight u u^T), which is xx, yy, zz, xy, xz, yz. All terms are at most 1.
+using PcaSumsFunction = void (*)(const PairGroups& groups, double* distance, bool areSquares, const double* x,
+                                 const double* y, const double* z, const PairRadii& radii,
+                                 const RowScale* scales, std::uint64_t* scratch, double* out);
+constexpr std::size_t kPcaNumbers = 10;
 
-// Eigenvalues and eigenvectors of symmetric matrices, as four sweeps of cyclic Jacobi rotations leave them, unordered.
-// `matrices`: as MomentsFunction writes them. `out`: for each three values, then the x of the three vectors, their y, their z.
-// Arrays of a multiple of kPairPad matrices.
-using EigenFunction = void (*)(const double* matrices, std::size_t count, double* out);
-constexpr std::size_t kEigenNumbers = 12;
+// For each row the least value; infinity for one without pairs.
+using LeastFunction = void (*)(const PairGroups& groups, const double* values, double* out);
+
+// For each row the sum of its distances, whose pads become 0.
+using DistanceSumsFunction = void (*)(const PairGroups& groups, double* distance, bool areSquares,
+                                      const RowScale* scales, std::uint64_t* scratch, double* out);
+
+// Principal axes of symmetric matrices, by four sweeps of cyclic Jacobi rotations. `matrices`: their xx, one after the other, their
+// yy, zz, xy, xz, yz. `out` likewise: the values, of which none is below 0, in descending order; then the rotation whose columns are the
+// vectors, row by row: the largest components of the first two are positive. `count`: a multiple of kAxesPad.
+using AxesFunction = void (*)(const double* matrices, std::size_t count, double* out);
+constexpr std::size_t kAxesNumbers = 12, kAxesPad = 2 * kPairPad;
+
+// Lengths of the axes of an ellipsoid of volume 1: by `values` in descending order, which are raised to `anisotropy` of the largest.
+using StretchesFunction = void (*)(const double* values, std::size_t count, double anisotropy, double* out);
 
 struct MeasureKernels {
     PairsFunction pairs[kPositionRecords];
     VectorsFunction vectors[2]; // of floats, of doubles
     ScalarsFunction scalars[2];
-    RootsFunction roots;
     WeightsFunction weights;
     ScalesFunction scales;
     SumsFunction sums;
     MomentsFunction moments;
+    PcaSumsFunction pcaSums;
     LeastFunction least;
-    EigenFunction eigen;
+    DistanceSumsFunction distanceSums;
+    AxesFunction axes;
+    StretchesFunction stretches;
 };
 
 } // namespace vdb_nns

@@ -14,11 +14,10 @@ SimdD::D weightOf(SimdD::D q)
 {
     using S = SimdD;
     const S::D one = S::set(1);
-    if (kWeight == PairWeight::kCubic) {
-        const S::D near = S::add(S::mul(S::mul(S::set(6), S::mul(q, q)), S::sub(q, one)), one);
-        const S::D left = S::sub(one, q);
-        const S::D far = S::mul(S::add(left, left), S::mul(left, left));
-        return S::where(S::less(q, S::set(0.5)), near, far);
+    if (kWeight == PairWeight::kCubic) { // 2 (1 - q)^3, less (1 - 2q)^3 below 1/2
+        const S::D left = S::sub(one, q), near = S::max(S::sub(left, q), S::set(0));
+        const S::D whole = S::mul(S::mul(left, left), S::add(left, left));
+        return S::sub(whole, S::mul(S::mul(near, near), near));
     }
     if (kWeight == PairWeight::kWendland2) {
         const S::D left = S::sub(one, q), square = S::mul(left, left);
@@ -44,54 +43,15 @@ struct PairMasks {
 };
 alignas(64) constexpr PairMasks kPairMasks;
 
-template <PairWeight kWeight, bool kSquares>
-void weigh(const PairGroups& groups, double* distance, const double* inverse, std::size_t inverseStep,
-           double* out)
-{
-    using S = SimdD;
-    const S::D first = S::set(inverse[0]);
-    for (std::size_t g = 0; g < groups.groups; ++g) {
-        const double* const mask = kPairMasks.lane[groups.pairs[g]];
-        for (std::size_t lane = 0; lane < kGroup; lane += S::kLanes) {
-            const std::size_t k = g * kGroup + lane;
-            const S::D by = inverseStep == 0 ? first : S::load(inverse + k);
-            S::D d = S::load(distance + k);
-            if (kSquares) {
-                d = S::sqrt(d);
-                S::store(distance + k, d);
-            }
-            const S::D q = S::min(S::mul(d, by), S::set(1));
-            S::store(out + k, S::mul(weightOf<kWeight>(q), S::load(mask + lane)));
-        }
-    }
-}
+// A vector of pairs.
+struct PairPlace {
+    std::size_t group, lane; // its first
+    std::size_t k() const { return group * kGroup + lane; }
+};
 
-template <bool kSquares>
-void weightsOf(PairWeight weight, const PairGroups& groups, double* distance, const double* inverse,
-               std::size_t inverseStep, double* out)
+VDB_NNS_INLINE SimdD::D maskOf(const PairGroups& groups, PairPlace at)
 {
-    switch (weight) {
-    case PairWeight::kCubic:
-        return weigh<PairWeight::kCubic, kSquares>(groups, distance, inverse, inverseStep, out);
-    case PairWeight::kWendland2:
-        return weigh<PairWeight::kWendland2, kSquares>(groups, distance, inverse, inverseStep, out);
-    case PairWeight::kPoly6:
-        return weigh<PairWeight::kPoly6, kSquares>(groups, distance, inverse, inverseStep, out);
-    case PairWeight::kTophat:
-        return weigh<PairWeight::kTophat, kSquares>(groups, distance, inverse, inverseStep, out);
-    case PairWeight::kPca:
-        return weigh<PairWeight::kPca, kSquares>(groups, distance, inverse, inverseStep, out);
-    }
-}
-
-inline void weights(PairWeight weight, const PairGroups& groups, double* distance, bool areSquares,
-                    const double* inverse, std::size_t inverseStep, double* out)
-{
-    if (areSquares) {
-        weightsOf<true>(weight, groups, distance, inverse, inverseStep, out);
-    } else {
-        weightsOf<false>(weight, groups, distance, inverse, inverseStep, out);
-    }
+    return SimdD::load(kPairMasks.lane[groups.pairs[at.group]] + at.lane);
 }
 
 // ----------------------------------------------------------------------------------------------------- sums
@@ -165,7 +125,7 @@ inline void scales(const PairGroups& groups, const double* greatest, const doubl
     }
 }
 
-// Adds up the scaled terms of all groups, `kSums` at once: term(k, t) writes those from the pair k on. A row's sum is then the
+// Adds up the scaled terms of all groups, `kSums` at once: term(at, scale, t) writes those of the pairs there. A row's sum is then the
 // difference of two running sums, modulo 2^64.
 template <int kSums, typename Term>
 VDB_NNS_INLINE void sumRows(const PairGroups& groups, const RowScale* scales, std::uint64_t* scratch,
@@ -183,9 +143,9 @@ VDB_NNS_INLINE void sumRows(const PairGroups& groups, const RowScale* scales, st
         const S::D scale = S::set(scales[groups.row[g]].scale);
         for (std::size_t lane = 0; lane < kGroup; lane += S::kLanes) {
             S::D terms[kSums];
-            term(g * kGroup + lane, terms);
+            term(PairPlace{g, lane}, scale, terms);
             for (int n = 0; n < kSums; ++n)
-                running[n] = S::addBits(running[n], S::add(S::mul(terms[n], scale), S::set(kShift)));
+                running[n] = S::addBits(running[n], S::add(terms[n], S::set(kShift)));
         }
         note(g + 1);
     }
@@ -204,21 +164,71 @@ VDB_NNS_INLINE void sumRows(const PairGroups& groups, const RowScale* scales, st
     }
 }
 
+template <PairWeight kWeight, bool kSquares>
+void weigh(const PairGroups& groups, double* distance, const PairRadii& radii, const RowScale* scales,
+           std::uint64_t* scratch, double* out, double* sums)
+{
+    using S = SimdD;
+    const S::D first = S::set(radii.inverse[0]);
+    sumRows<1>(groups, scales, scratch, sums, [&](PairPlace at, S::D scale, S::D(&terms)[1]) {
+        const S::D by = radii.areAlike ? first : S::load(radii.inverse + at.k());
+        S::D d = S::load(distance + at.k());
+        if (kSquares) {
+            d = S::sqrt(d);
+            S::store(distance + at.k(), d);
+        }
+        const S::D q = S::min(S::mul(d, by), S::set(1));
+        const S::D w = S::mul(weightOf<kWeight>(q), maskOf(groups, at));
+        S::store(out + at.k(), w);
+        terms[0] = S::mul(w, scale);
+    });
+}
+
+template <bool kSquares>
+void weightsOf(PairWeight weight, const PairGroups& groups, double* distance, const PairRadii& radii,
+               const RowScale* scales, std::uint64_t* scratch, double* out, double* sums)
+{
+    switch (weight) {
+    case PairWeight::kCubic:
+        return weigh<PairWeight::kCubic, kSquares>(groups, distance, radii, scales, scratch, out, sums);
+    case PairWeight::kWendland2:
+        return weigh<PairWeight::kWendland2, kSquares>(groups, distance, radii, scales, scratch, out, sums);
+    case PairWeight::kPoly6:
+        return weigh<PairWeight::kPoly6, kSquares>(groups, distance, radii, scales, scratch, out, sums);
+    case PairWeight::kTophat:
+        return weigh<PairWeight::kTophat, kSquares>(groups, distance, radii, scales, scratch, out, sums);
+    case PairWeight::kPca:
+        return weigh<PairWeight::kPca, kSquares>(groups, distance, radii, scales, scratch, out, sums);
+    }
+}
+
+inline void weights(PairWeight weight, const PairGroups& groups, double* distance, bool areSquares,
+                    const PairRadii& radii, const RowScale* scales, std::uint64_t* scratch, double* out,
+                    double* sums)
+{
+    if (areSquares) {
+        weightsOf<true>(weight, groups, distance, radii, scales, scratch, out, sums);
+    } else {
+        weightsOf<false>(weight, groups, distance, radii, scales, scratch, out, sums);
+    }
+}
+
 inline void sums(const PairGroups& groups, const RowScale* scales, const double* weight,
                  const double* const* factors, int factorCount, std::uint64_t* scratch, double* out)
 {
     using S = SimdD;
     if (factorCount == 0) {
-        sumRows<1>(groups, scales, scratch, out,
-                   [&](std::size_t k, S::D(&terms)[1]) { terms[0] = S::load(weight + k); });
+        sumRows<1>(groups, scales, scratch, out, [&](PairPlace at, S::D scale, S::D(&terms)[1]) {
+            terms[0] = S::mul(S::load(weight + at.k()), scale);
+        });
     } else if (factorCount == 1) {
-        sumRows<1>(groups, scales, scratch, out, [&](std::size_t k, S::D(&terms)[1]) {
-            terms[0] = S::mul(S::load(weight + k), S::load(factors[0] + k));
+        sumRows<1>(groups, scales, scratch, out, [&](PairPlace at, S::D scale, S::D(&terms)[1]) {
+            terms[0] = S::mul(S::mul(S::load(weight + at.k()), scale), S::load(factors[0] + at.k()));
         });
     } else {
-        sumRows<3>(groups, scales, scratch, out, [&](std::size_t k, S::D(&terms)[3]) {
-            const S::D w = S::load(weight + k);
-            for (int f = 0; f < 3; ++f) terms[f] = S::mul(w, S::load(factors[f] + k));
+        sumRows<3>(groups, scales, scratch, out, [&](PairPlace at, S::D scale, S::D(&terms)[3]) {
+            const S::D w = S::mul(S::load(weight + at.k()), scale);
+            for (int f = 0; f < 3; ++f) terms[f] = S::mul(w, S::load(factors[f] + at.k()));
         });
     }
 }
@@ -241,10 +251,10 @@ inline void moments(const PairGroups& groups, const double* weight, const double
         const S::D square = S::add(S::add(S::mul(d[0], d[0]), S::mul(d[1], d[1])), S::mul(d[2], d[2]));
         return S::mul(S::load(weight + k), square);
     });
-    sumRows<6>(groups, rowScales, scratch, out, [&](std::size_t k, S::D(&terms)[6]) {
+    sumRows<6>(groups, rowScales, scratch, out, [&](PairPlace at, S::D scale, S::D(&terms)[6]) {
         S::D d[3];
-        fromCenter(k, d);
-        const S::D w = S::load(weight + k);
+        fromCenter(at.k(), d);
+        const S::D w = S::mul(S::load(weight + at.k()), scale);
         const S::D wx = S::mul(w, d[0]), wy = S::mul(w, d[1]), wz = S::mul(w, d[2]);
         terms[0] = S::mul(wx, d[0]);
         terms[1] = S::mul(wy, d[1]);
@@ -255,21 +265,82 @@ inline void moments(const PairGroups& groups, const double* weight, const double
     });
 }
 
-inline void least(const PairGroups& groups, double* distance, double* out)
+template <bool kSquares>
+void pcaSumsOf(const PairGroups& groups, double* distance, const double* x, const double* y, const double* z,
+               const PairRadii& radii, const RowScale* rowScales, std::uint64_t* scratch, double* out)
+{
+    using S = SimdD;
+    const S::D first = S::set(radii.inverse[0]);
+    sumRows<kPcaNumbers>(
+        groups, rowScales, scratch, out, [&](PairPlace at, S::D scale, S::D(&terms)[kPcaNumbers]) {
+            const std::size_t k = at.k();
+            const S::D by = radii.areAlike ? first : S::load(radii.inverse + k);
+            S::D d = S::load(distance + k);
+            if (kSquares) {
+                d = S::sqrt(d);
+                S::store(distance + k, d);
+            }
+            const S::D q = S::min(S::mul(d, by), S::set(1));
+            const S::D w = S::mul(weightOf<PairWeight::kPca>(q), S::mul(maskOf(groups, at), scale));
+            const S::D ux = S::mul(S::load(x + k), by), uy = S::mul(S::load(y + k), by),
+                       uz = S::mul(S::load(z + k), by);
+            const S::D wx = S::mul(w, ux), wy = S::mul(w, uy), wz = S::mul(w, uz);
+            terms[0] = w;
+            terms[1] = wx;
+            terms[2] = wy;
+            terms[3] = wz;
+            terms[4] = S::mul(wx, ux);
+            terms[5] = S::mul(wy, uy);
+            terms[6] = S::mul(wz, uz);
+            terms[7] = S::mul(wx, uy);
+            terms[8] = S::mul(wx, uz);
+            terms[9] = S::mul(wy, uz);
+        });
+}
+
+inline void pcaSums(const PairGroups& groups, double* distance, bool areSquares, const double* x,
+                    const double* y, const double* z, const PairRadii& radii, const RowScale* rowScales,
+                    std::uint64_t* scratch, double* out)
+{
+    if (areSquares) {
+        pcaSumsOf<true>(groups, distance, x, y, z, radii, rowScales, scratch, out);
+    } else {
+        pcaSumsOf<false>(groups, distance, x, y, z, radii, rowScales, scratch, out);
+    }
+}
+
+inline void least(const PairGroups& groups, const double* values, double* out)
 {
     using S = SimdD;
     for (std::size_t r = 0; r < groups.rows; ++r) {
         S::D nearest = S::set(__builtin_inf());
         const std::size_t end = groups.firstGroup[r + 1] * kGroup;
         for (std::size_t k = groups.firstGroup[r] * kGroup; k < end; k += S::kLanes)
-            nearest = S::min(nearest, S::load(distance + k));   // pads repeat the last pair
+            nearest = S::min(nearest, S::load(values + k));     // pads repeat the last pair
         out[r] = 0.0 - S::greatest(S::sub(S::set(0), nearest)); // never a negative zero
     }
-    for (std::size_t g = 0; g < groups.groups; ++g) {
-        for (std::size_t lane = 0; lane < kGroup; lane += S::kLanes) {
-            double* const d = distance + g * kGroup + lane;
-            S::store(d, S::mul(S::load(d), S::load(kPairMasks.lane[groups.pairs[g]] + lane)));
-        }
+}
+
+template <bool kSquares>
+void distanceSumsOf(const PairGroups& groups, double* distance, const RowScale* rowScales,
+                    std::uint64_t* scratch, double* out)
+{
+    using S = SimdD;
+    sumRows<1>(groups, rowScales, scratch, out, [&](PairPlace at, S::D scale, S::D(&terms)[1]) {
+        const S::D d = S::load(distance + at.k());
+        const S::D distances = S::mul(kSquares ? S::sqrt(d) : d, maskOf(groups, at));
+        S::store(distance + at.k(), distances);
+        terms[0] = S::mul(distances, scale);
+    });
+}
+
+inline void distanceSums(const PairGroups& groups, double* distance, bool areSquares,
+                         const RowScale* rowScales, std::uint64_t* scratch, double* out)
+{
+    if (areSquares) {
+        distanceSumsOf<true>(groups, distance, rowScales, scratch, out);
+    } else {
+        distanceSumsOf<false>(groups, distance, rowScales, scratch, out);
     }
 }
 

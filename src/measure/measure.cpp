@@ -133,9 +133,9 @@ public:
         mTargets = &results.targets();
         if (mTargets->wantsClusters()) checkClusters(mSets, mSearch);
         Measured measured;
-        beginPca();
         measured.counts =
             mTargets->wantsRows() || mTargets->wantsClusters() ? pass(measured.skipped) : countNeighbors();
+        if (mTargets->stretch) finishPca();
         if (mTargets->nearest) findNearest();
         writeCounts(measured.counts);
         measured.values = results.take();
@@ -167,16 +167,20 @@ private:
         mMayBeDoubles = mSearch.hostMemoryBytes == 0 && more <= allowed - needed;
     }
 
-    // What points have that nobody is near: their position, and no rotation.
-    void beginPca()
+    // Positions, which rows have left the shares of their means for, and what points have that are no ellipsoids.
+    void finishPca()
     {
-        if (!mTargets->stretch) return;
+        const PcaOptions& pca = mOptions.pca;
+        const MeasureTargets& targets = *mTargets;
         const ParticleView& view = mSets.queries();
         forEachChunk(view.size(), mCancel, [&](std::size_t begin, std::size_t end) {
             for (std::size_t i = begin; i < end; ++i) {
                 const Vec3d world = view.worldPosition(i);
-                std::copy(world.begin(), world.end(), mTargets->pws + 3 * i);
-                for (std::size_t k = 0; k < 3; ++k) mTargets->xform[9 * i + 4 * k] = 1;
+                for (std::size_t k = 0; k < 3; ++k)
+                    targets.pws[3 * i + k] = pca.average > 0 ? world[k] + targets.pws[3 * i + k] : world[k];
+                if (targets.ellipsoids[i]) continue;
+                std::fill_n(targets.stretch + 3 * i, 3, static_cast<float>(pca.stretch));
+                for (std::size_t k = 0; k < 9; ++k) targets.xform[9 * i + k] = k % 4 == 0 ? 1 : 0;
             }
         });
     }

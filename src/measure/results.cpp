@@ -13,7 +13,7 @@ namespace vdb_nns {
 namespace {
 
 template <typename T>
-void fill(T* values, std::uint64_t count, T value)
+void fillWith(T* values, std::uint64_t count, T value)
 {
     tbb::parallel_for(tbb::blocked_range<std::uint64_t>(0, count, 65536), [&](const auto& range) {
         std::fill(values + range.begin(), values + range.end(), value);
@@ -35,7 +35,7 @@ MeasureResults::MeasureResults(const std::vector<Measure>& measures, const Measu
     mFree.clear();
 }
 
-std::shared_ptr<void> MeasureResults::block(std::uint64_t bytes)
+std::shared_ptr<void> MeasureResults::block(std::uint64_t bytes, Fill fill)
 {
     // The smallest that is large enough, but not much larger.
     auto best = mFree.end();
@@ -47,7 +47,7 @@ std::shared_ptr<void> MeasureResults::block(std::uint64_t bytes)
     if (best != mFree.end()) {
         block = std::move(*best);
         mFree.erase(best);
-        fill(static_cast<char*>(block->data()), bytes, '\0');
+        if (fill == Fill::kZeros) fillWith(static_cast<char*>(block->data()), bytes, '\0');
     } else {
         block = std::make_shared<PageBlock>(static_cast<std::size_t>(std::max<std::uint64_t>(bytes, 1)));
     }
@@ -55,16 +55,16 @@ std::shared_ptr<void> MeasureResults::block(std::uint64_t bytes)
     return {block, block->data()};
 }
 
-void* MeasureResults::add(const std::string& name, AttributeType type)
+void* MeasureResults::add(const std::string& name, AttributeType type, Fill fill)
 {
-    const std::shared_ptr<void> values = block(mQueries * attributeBytes(type));
+    const std::shared_ptr<void> values = block(mQueries * attributeBytes(type), fill);
     mValues.attributes.push_back({name, type, mQueries, values});
     return values.get();
 }
 
 std::uint8_t* MeasureResults::addGroup(const std::string& name)
 {
-    const std::shared_ptr<void> bytes = block(mQueries);
+    const std::shared_ptr<void> bytes = block(mQueries, Fill::kZeros);
     const std::shared_ptr<std::uint8_t> members(bytes, static_cast<std::uint8_t*>(bytes.get()));
     mValues.groups.push_back({name, mQueries, members});
     return members.get();
@@ -73,17 +73,17 @@ std::uint8_t* MeasureResults::addGroup(const std::string& name)
 void MeasureResults::addOne(const Measure& measure, const MeasureOptions& options)
 {
     const std::string name = resultName(measure, options.prefix);
-    const auto addFloats = [&](AttributeType type = AttributeType::kFloat) {
-        return static_cast<float*>(add(name, type));
+    const auto addFloats = [&](AttributeType type = AttributeType::kFloat, Fill fill = Fill::kZeros) {
+        return static_cast<float*>(add(name, type, fill));
     };
     const auto addIntegers = [&] {
         return add(name, mTargets.areWide ? AttributeType::kInt64 : AttributeType::kInt32);
     };
     const auto fillIntegers = [&](void* out, std::int64_t value) {
         if (mTargets.areWide) {
-            fill(static_cast<std::int64_t*>(out), mQueries, value);
+            fillWith(static_cast<std::int64_t*>(out), mQueries, value);
         } else {
-            fill(static_cast<std::int32_t*>(out), mQueries, static_cast<std::int32_t>(value));
+            fillWith(static_cast<std::int32_t*>(out), mQueries, static_cast<std::int32_t>(value));
         }
     };
     switch (measure.kind) {
@@ -94,10 +94,10 @@ void MeasureResults::addOne(const Measure& measure, const MeasureOptions& option
         mTargets.density = addFloats();
         break;
     case MeasureKind::kMeanDistance:
-        fill(mTargets.meanDistance = addFloats(), mQueries, -1.0f);
+        fillWith(mTargets.meanDistance = addFloats(AttributeType::kFloat, Fill::kNone), mQueries, -1.0f);
         break;
     case MeasureKind::kNearestDistance:
-        fill(mTargets.nearestDistance = addFloats(), mQueries, -1.0f);
+        fillWith(mTargets.nearestDistance = addFloats(AttributeType::kFloat, Fill::kNone), mQueries, -1.0f);
         break;
     case MeasureKind::kNearest:
         fillIntegers(mTargets.nearest = addIntegers(), -1);
@@ -116,10 +116,11 @@ void MeasureResults::addOne(const Measure& measure, const MeasureOptions& option
         mTargets.eigenvalues = addFloats(AttributeType::kVec3s);
         break;
     case MeasureKind::kPca:
-        fill(mTargets.stretch = addFloats(AttributeType::kVec3s), 3 * mQueries,
-             static_cast<float>(options.pca.stretch));
-        mTargets.xform = static_cast<float*>(add("xform", AttributeType::kMat3s));
-        mTargets.pws = static_cast<double*>(add("pws", AttributeType::kVec3d));
+        // All of them are written: finishPca() of a MeasureJob.
+        mTargets.stretch = addFloats(AttributeType::kVec3s, Fill::kNone);
+        mTargets.xform = static_cast<float*>(add("xform", AttributeType::kMat3s, Fill::kNone));
+        mTargets.pws = static_cast<double*>(
+            add("pws", AttributeType::kVec3d, options.pca.average > 0 ? Fill::kZeros : Fill::kNone));
         mTargets.ellipsoids = addGroup("ellipsoids");
         break;
     case MeasureKind::kCluster:

@@ -59,13 +59,13 @@ public:
     PointValues take() { return std::move(mValues); }
 
 private:
-    // Adds an attribute whose bytes are 0.
-    void* add(const std::string& name, AttributeType type);
+    enum class Fill { kNone, kZeros };
+
+    void* add(const std::string& name, AttributeType type, Fill fill = Fill::kZeros);
     std::uint8_t* addGroup(const std::string& name);
     void addOne(const Measure& measure, const MeasureOptions& options);
 
-    // Zeros.
-    std::shared_ptr<void> block(std::uint64_t bytes);
+    std::shared_ptr<void> block(std::uint64_t bytes, Fill fill);
 
     std::uint64_t mQueries;
     Memory& mMemory;

@@ -11,6 +11,9 @@ namespace vdb_nns {
 namespace {
 
 constexpr std::size_t kBatchGroups = 64; // whose columns fit the first-level cache
+// Sums at a scale for the greatest terms there can be are precise enough from this share of that on: their errors are then
+// below 2^-35 a term. Others are made again at a scale of their own.
+constexpr double kLeastOfBound = 1.0 / (1 << 16);
 constexpr double kPi = 3.14159265358979323846;
 
 std::size_t groupsOf(std::size_t pairs)
@@ -54,54 +57,6 @@ double cube(double x)
     return x * x * x;
 }
 
-// 1 / cbrt(x) of x in (0, 1]: the C library's cube root differs from version to version.
-double inverseCubeRoot(double x)
-{
-    double scale = 1;
-    for (; x < 0.125; x *= 8) scale *= 2;
-    double y = 2.1 - 1.15 * x; // Newton's steps, without a division, from within 20 %
-    for (int step = 0; step < 6; ++step) y = y * ((4 - x * (y * y * y)) * (1.0 / 3));
-    return y * scale;
-}
-
-// Eigenvalues in descending order and their vectors as a rotation: see measure.h.
-struct Axes {
-    double value[3];
-    double vector[3][3];
-
-    explicit Axes(const double* eigen)
-    {
-        int order[3] = {0, 1, 2};
-        const auto sortTwo = [&](int a, int b) {
-            if (eigen[order[a]] < eigen[order[b]]) std::swap(order[a], order[b]);
-        };
-        sortTwo(0, 1);
-        sortTwo(1, 2);
-        sortTwo(0, 1);
-        for (int k = 0; k < 3; ++k) {
-            value[k] = std::max(eigen[order[k]], 0.0); // a rounding below
-            for (int c = 0; c < 3; ++c) vector[k][c] = eigen[3 + 3 * c + order[k]];
-        }
-        makePositive(vector[0]);
-        makePositive(vector[1]);
-        for (int c = 0; c < 3; ++c) {
-            const int d = (c + 1) % 3, e = (c + 2) % 3;
-            vector[2][c] = vector[0][d] * vector[1][e] - vector[0][e] * vector[1][d];
-        }
-    }
-
-private:
-    static void makePositive(double (&v)[3])
-    {
-        int largest = 0;
-        for (int c = 1; c < 3; ++c) {
-            if (std::fabs(v[c]) > std::fabs(v[largest])) largest = c;
-        }
-        if (v[largest] >= 0) return;
-        for (double& x : v) x = -x;
-    }
-};
-
 // Component c of the value of a particle.
 double valueOf(const AveragedAttribute& attribute, std::size_t number, std::size_t c)
 {
@@ -128,7 +83,8 @@ RowBatch::RowBatch(const RowMeasures& measures)
                     !mTargets.averages.empty()),
       mWantsVectors(mTargets.normal || mTargets.eigenvalues || mTargets.stretch),
       mHasRadii(!measures.sets.radius.isOne()),
-      mIsByPair(mHasRadii && measures.sets.radius.mode != RadiusMode::kGather)
+      mIsByPair(mHasRadii && measures.sets.radius.mode != RadiusMode::kGather),
+      mInverseRadius(1 / measures.radius)
 {
     reserve(2 * kBatchGroups);
 }
@@ -195,6 +151,7 @@ void RowBatch::setOwnWeights()
         mOwn[r] = isOwn ? 1 : 0;
     }
     mOwnWeights = mOwn;
+    mHaveOwn = std::find(mOwn.begin(), mOwn.end(), 0) == mOwn.end();
 }
 
 void RowBatch::setRadii()
@@ -252,24 +209,38 @@ void RowBatch::scaleByRadii()
         weight[k] *= cube(mReferences[mGroupRow[k / kGroup]] * inverse[k]);
 }
 
-void RowBatch::weigh()
+PairRadii RowBatch::radii()
 {
-    const MeasureKernels& kernels = mMeasures.kernels;
-    const double one = 1 / mMeasures.radius;
-    const double* const inverse = mHasRadii ? column(kInverse) : &one;
-    const std::size_t step = mHasRadii ? 1 : 0;
-    if (mWantsWeights) {
-        kernels.weights(weightOf(mMeasures.options.kernel), mGroups, column(kDistance), true, inverse, step,
-                        column(kWeight));
-        if (mIsByPair) scaleByRadii();
-        sum(kWeight, 0, kFactorX, !mIsByPair, mWeightSums);
+    return mHasRadii ? PairRadii{column(kInverse), false} : PairRadii{&mInverseRadius, true};
+}
+
+// For `sums` sums at a time.
+std::uint64_t* RowBatch::scratch(std::size_t sums)
+{
+    mScratch.resize(std::max(mScratch.size(), (mGroups.groups + 1) * kGroup * sums));
+    return mScratch.data();
+}
+
+// Of terms up to `greatest` in each row.
+const RowScale* RowBatch::scalesOf(const std::vector<double>& greatest)
+{
+    mScales.resize(mGroups.rows);
+    mMeasures.kernels.scales(mGroups, greatest.data(), nullptr, nullptr, 0, mScales.data());
+    return mScales.data();
+}
+
+void RowBatch::weigh(PairWeight weight, bool areSquares, Column out, std::vector<double>& sums)
+{
+    sums.resize(mGroups.rows);
+    mOnes.assign(mGroups.rows, 1.0);
+    mMeasures.kernels.weights(weight, mGroups, column(kDistance), areSquares, radii(), scalesOf(mOnes),
+                              scratch(1), column(out), sums.data());
+    if (mIsByPair && out == kWeight) {
+        scaleByRadii();
+        sum(out, 0, kFactorX, false, sums);
+    } else if (!mHaveOwn) {
+        sum(out, 0, kFactorX, true, sums);
     }
-    if (mTargets.stretch) {
-        kernels.weights(PairWeight::kPca, mGroups, column(kDistance), !mWantsWeights, inverse, step,
-                        column(kPcaWeight));
-        sum(kPcaWeight, 0, kFactorX, true, mPcaSums);
-    }
-    if (!mWantsWeights && !mTargets.stretch) kernels.roots(mGroups, column(kDistance));
 }
 
 // `isBounded`: by the weight of the query itself, which is the largest there is.
@@ -280,27 +251,44 @@ void RowBatch::sum(Column weight, int factorCount, Column firstFactor, bool isBo
     for (int f = 0; f < factorCount; ++f) factors[f] = column(firstFactor + f);
     const std::size_t each = static_cast<std::size_t>(std::max(factorCount, 1));
     mScales.resize(mGroups.rows);
-    mScratch.resize(std::max(mScratch.size(), (mGroups.groups + 1) * kGroup * each));
     out.resize(mGroups.rows * each);
     mMeasures.kernels.scales(mGroups, isBounded ? mOwn.data() : nullptr, column(weight), factors, factorCount,
                              mScales.data());
-    mMeasures.kernels.sums(mGroups, mScales.data(), column(weight), factors, factorCount, mScratch.data(),
+    mMeasures.kernels.sums(mGroups, mScales.data(), column(weight), factors, factorCount, scratch(each),
                            out.data());
 }
 
 void RowBatch::writeDistances()
 {
     if (!mTargets.meanDistance && !mTargets.nearestDistance) return;
-    mSums.resize(mGroups.rows);
-    mMeasures.kernels.least(mGroups, column(kDistance), mSums.data());
-    for (std::size_t r = 0; r < mGroups.rows && mTargets.nearestDistance; ++r) {
-        if (mCounts[r] > 0) mTargets.nearestDistance[mGroups.query[r]] = static_cast<float>(mSums[r]);
+    const bool areSquares = !mWantsWeights && !mTargets.stretch;
+    if (mTargets.nearestDistance) {
+        mSums.resize(mGroups.rows);
+        mMeasures.kernels.least(mGroups, column(kDistance), mSums.data());
+        for (std::size_t r = 0; r < mGroups.rows; ++r) {
+            if (mCounts[r] > 0)
+                mTargets.nearestDistance[mGroups.query[r]] =
+                    static_cast<float>(areSquares ? std::sqrt(mSums[r]) : mSums[r]);
+        }
     }
-    if (!mTargets.meanDistance) return;
-    sum(kDistance, 0, kFactorX, false, mSums);
+    if (mTargets.meanDistance) writeMeanDistances(areSquares);
+}
+
+void RowBatch::writeMeanDistances(bool areSquares)
+{
+    mSums.resize(mGroups.rows);
+    mMeasures.kernels.distanceSums(mGroups, column(kDistance), areSquares, scalesOf(mReferences), scratch(1),
+                                   mSums.data());
+    const auto isPrecise = [&](std::size_t r) {
+        return !mIsByPair && mSums[r] >= kLeastOfBound * mReferences[r] * mCounts[r];
+    };
+    bool areAllPrecise = true;
+    for (std::size_t r = 0; r < mGroups.rows; ++r) areAllPrecise = areAllPrecise && isPrecise(r);
+    if (!areAllPrecise) sum(kDistance, 0, kFactorX, false, mPreciseSums);
     for (std::size_t r = 0; r < mGroups.rows; ++r) {
         if (mCounts[r] > 0)
-            mTargets.meanDistance[mGroups.query[r]] = static_cast<float>(mSums[r] / mCounts[r]);
+            mTargets.meanDistance[mGroups.query[r]] =
+                static_cast<float>((isPrecise(r) ? mSums[r] : mPreciseSums[r]) / mCounts[r]);
     }
 }
 
@@ -373,90 +361,137 @@ void RowBatch::writeNormals()
     }
 }
 
-void RowBatch::writePca(const double* eigen, std::size_t r)
+void RowBatch::writePca(std::size_t r)
 {
     const PcaOptions& pca = mMeasures.options.pca;
-    const std::size_t query = mGroups.query[r];
+    const std::size_t query = mGroups.query[r], padded = paddedRows();
     if (pca.average > 0) {
-        for (std::size_t c = 0; c < 3; ++c) mTargets.pws[3 * query + c] += pca.average * mCenters[3 * r + c];
+        for (std::size_t c = 0; c < 3; ++c) mTargets.pws[3 * query + c] = pca.average * mCenters[3 * r + c];
     }
     const std::uint64_t points = std::uint64_t(mCounts[r]) + (mOwn[r] > 0 ? 1 : 0);
     if (pca.threshold == 0 || points < pca.threshold) return;
     mTargets.ellipsoids[query] = 1;
-    const Axes axes(eigen);
-    double length[3] = {1, 1, 1};
-    if (axes.value[0] > 0) {
-        for (int k = 1; k < 3; ++k) length[k] = std::max(axes.value[k] / axes.value[0], pca.anisotropy);
-        const double by = inverseCubeRoot(length[1]) * inverseCubeRoot(length[2]);
-        for (double& l : length) l *= by;
-    }
-    for (std::size_t k = 0; k < 3; ++k) {
-        mTargets.stretch[3 * query + k] = static_cast<float>(length[k]);
-        for (std::size_t c = 0; c < 3; ++c)
-            mTargets.xform[9 * query + 3 * c + k] = static_cast<float>(axes.vector[k][c]);
-    }
-}
-
-void RowBatch::writeEigenvalues(const double* eigen, std::size_t r)
-{
-    const Axes axes(eigen);
     for (std::size_t k = 0; k < 3; ++k)
-        mTargets.eigenvalues[3 * mGroups.query[r] + k] = static_cast<float>(axes.value[k]);
+        mTargets.stretch[3 * query + k] = static_cast<float>(mStretches[k * padded + r]);
+    for (std::size_t k = 0; k < 9; ++k)
+        mTargets.xform[9 * query + k] = static_cast<float>(mAxes[(3 + k) * padded + r]);
 }
 
 // Weighted means and moments about them; mVectors has the sums of the weight times x_j - x_i.
-void RowBatch::writeAxes(Column weight, bool isPca)
+void RowBatch::makeMoments(Column weight, const std::vector<double>& weightSums,
+                           const std::vector<double>& own)
 {
-    const std::size_t rows = mGroups.rows, padded = (rows + kPairPad - 1) / kPairPad * kPairPad;
-    const auto ownOf = [&](std::size_t r) { return isPca ? mOwn[r] : mOwnWeights[r]; };
-    const std::vector<double>& weightSums = isPca ? mPcaSums : mWeightSums;
+    const std::size_t rows = mGroups.rows;
     mCenters.assign(3 * rows, 0.0);
     mTotals.resize(rows);
     for (std::size_t r = 0; r < rows; ++r) {
-        mTotals[r] = weightSums[r] + ownOf(r);
+        mTotals[r] = weightSums[r] + own[r];
         if (!(mTotals[r] > 0)) continue;
         for (std::size_t c = 0; c < 3; ++c) mCenters[3 * r + c] = mVectors[3 * r + c] / mTotals[r];
     }
+    const std::size_t padded = paddedRows();
     mMoments.assign(6 * padded, 0.0);
     mScales.resize(rows);
-    mScratch.resize(std::max(mScratch.size(), (mGroups.groups + 1) * kGroup * 6));
+    mSums.resize(6 * rows);
     mMeasures.kernels.moments(mGroups, column(weight), column(kX), column(kY), column(kZ), mCenters.data(),
-                              mScales.data(), mScratch.data(), mMoments.data());
+                              mScales.data(), scratch(6), mSums.data());
     for (std::size_t r = 0; r < rows; ++r) {
         const double* const c = mCenters.data() + 3 * r;
         const double ofOwn[6] = {c[0] * c[0], c[1] * c[1], c[2] * c[2],
                                  c[0] * c[1], c[0] * c[2], c[1] * c[2]};
-        for (std::size_t p = 0; p < 6; ++p) {
-            double& moment = mMoments[6 * r + p];
-            moment = mTotals[r] > 0 ? (moment + ownOf(r) * ofOwn[p]) / mTotals[r] : 0;
+        for (std::size_t p = 0; p < 6 && mTotals[r] > 0; ++p)
+            mMoments[p * padded + r] = (mSums[6 * r + p] + own[r] * ofOwn[p]) / mTotals[r];
+    }
+}
+
+void RowBatch::makeAxes()
+{
+    mAxes.resize(kAxesNumbers * paddedRows());
+    mMeasures.kernels.axes(mMoments.data(), paddedRows(), mAxes.data());
+}
+
+void RowBatch::writeEigenvalues()
+{
+    makeMoments(kWeight, mWeightSums, mOwnWeights);
+    makeAxes();
+    for (std::size_t r = 0; r < mGroups.rows; ++r) {
+        for (std::size_t k = 0; k < 3 && mTotals[r] > 0; ++k)
+            mTargets.eigenvalues[3 * mGroups.query[r] + k] = static_cast<float>(mAxes[k * paddedRows() + r]);
+    }
+}
+
+// Moments of points::pca in units of the radius, from those about the query, which one loop has summed up. Where the query is one of
+// the points itself, little cancels.
+struct RowBatch::PcaRow {
+    double center[3], moments[6];
+    bool isPrecise;
+
+    PcaRow(const double* sums, double own, std::uint32_t count)
+    {
+        const double total = sums[0] + own;
+        for (int c = 0; c < 3; ++c) center[c] = sums[1 + c] / total;
+        const double ofCenter[6] = {center[0] * center[0], center[1] * center[1], center[2] * center[2],
+                                    center[0] * center[1], center[0] * center[2], center[1] * center[2]};
+        for (int p = 0; p < 6; ++p) moments[p] = sums[4 + p] / total - ofCenter[p];
+        const double spread = (moments[0] + moments[1] + moments[2]) * total;
+        isPrecise = own > 0 && (count == 0 || spread >= kLeastOfBound);
+    }
+};
+
+RowBatch::~RowBatch() = default;
+
+void RowBatch::makePcaMoments()
+{
+    const std::size_t rows = mGroups.rows;
+    const bool areAtOnce = mMeasures.sets.areSameParticles() && !mIsByPair;
+    bool areAllPrecise = areAtOnce;
+    mPcaRows.clear();
+    if (areAtOnce) {
+        mSums.resize(rows * kPcaNumbers);
+        mOnes.assign(rows, 1.0);
+        mMeasures.kernels.pcaSums(mGroups, column(kDistance), !mWantsWeights, column(kX), column(kY),
+                                  column(kZ), radii(), scalesOf(mOnes), scratch(kPcaNumbers), mSums.data());
+        for (std::size_t r = 0; r < rows; ++r) {
+            mPcaRows.emplace_back(mSums.data() + kPcaNumbers * r, mOwn[r], mCounts[r]);
+            areAllPrecise = areAllPrecise && mPcaRows[r].isPrecise;
         }
     }
-    mEigen.resize(kEigenNumbers * padded);
-    mMeasures.kernels.eigen(mMoments.data(), padded, mEigen.data());
-    for (std::size_t r = 0; r < rows; ++r) {
-        if (!isPca && !(mTotals[r] > 0)) continue; // an ellipsoid takes points, be their weights 0
-        const double* const eigen = mEigen.data() + kEigenNumbers * r;
-        if (isPca) {
-            writePca(eigen, r);
-        } else {
-            writeEigenvalues(eigen, r);
-        }
+    if (areAllPrecise) {
+        mCenters.resize(3 * rows);
+        mMoments.assign(6 * paddedRows(), 0.0);
+    } else {
+        weigh(PairWeight::kPca, !mWantsWeights && !areAtOnce, kPcaWeight, mPcaSums);
+        sum(kPcaWeight, 3, kX, false, mVectors);
+        makeMoments(kPcaWeight, mPcaSums, mOwn);
     }
+    for (std::size_t r = 0; r < mPcaRows.size(); ++r) {
+        const PcaRow& row = mPcaRows[r];
+        if (!row.isPrecise) continue;
+        for (std::size_t c = 0; c < 3; ++c) mCenters[3 * r + c] = row.center[c] * mReferences[r];
+        for (std::size_t p = 0; p < 6; ++p) mMoments[p * paddedRows() + r] = row.moments[p];
+    }
+}
+
+void RowBatch::writeAllPca()
+{
+    makePcaMoments();
+    makeAxes();
+    mStretches.resize(3 * paddedRows());
+    mMeasures.kernels.stretches(mAxes.data(), paddedRows(), mMeasures.options.pca.anisotropy,
+                                mStretches.data());
+    for (std::size_t r = 0; r < mGroups.rows; ++r) writePca(r);
 }
 
 void RowBatch::writeValues()
 {
     makePairs();
-    weigh();
+    if (mWantsWeights) weigh(weightOf(mMeasures.options.kernel), true, kWeight, mWeightSums);
     if (mTargets.density) writeDensities();
     for (const MeasureTargets::Average& average : mTargets.averages) writeAverage(average);
     if (mTargets.normal || mTargets.eigenvalues) sum(kWeight, 3, kX, false, mVectors);
     if (mTargets.normal) writeNormals();
-    if (mTargets.eigenvalues) writeAxes(kWeight, false);
-    if (mTargets.stretch) {
-        sum(kPcaWeight, 3, kX, false, mVectors);
-        writeAxes(kPcaWeight, true);
-    }
+    if (mTargets.eigenvalues) writeEigenvalues();
+    if (mTargets.stretch) writeAllPca();
     writeDistances();
 }
 

@@ -38,6 +38,7 @@ struct RowMeasures {
 class RowBatch {
 public:
     explicit RowBatch(const RowMeasures& measures);
+    ~RowBatch();
 
     // Writes the values of queries, given by number, whose rows these are.
     void take(const std::uint32_t* queries, const VisitedRows& rows);
@@ -59,6 +60,8 @@ private:
         kColumns
     };
 
+    struct PcaRow;
+
     double* column(int c) { return mPairs.data() + static_cast<std::size_t>(c) * mCapacity * kGroup; }
     void reserve(std::size_t groups);
     // Lists the groups of the next rows, as many as a batch takes, and returns how many rows they are.
@@ -68,21 +71,30 @@ private:
     void writeValues();
     void makePairs();
     void lookUnknownUp();
-    void weigh();
+    PairRadii radii();
+    std::uint64_t* scratch(std::size_t sums);
+    const RowScale* scalesOf(const std::vector<double>& greatest);
+    void weigh(PairWeight weight, bool areSquares, Column out, std::vector<double>& sums);
     void scaleByRadii();
     void sum(Column weight, int factorCount, Column firstFactor, bool isBounded, std::vector<double>& out);
     void writeDensities();
     void writeAverage(const MeasureTargets::Average& average);
     void writeNormals();
-    void writeAxes(Column weight, bool isPca);
-    void writePca(const double* eigen, std::size_t r);
-    void writeEigenvalues(const double* eigen, std::size_t r);
+    std::size_t paddedRows() const { return (mGroups.rows + kAxesPad - 1) / kAxesPad * kAxesPad; }
+    void makeMoments(Column weight, const std::vector<double>& weightSums, const std::vector<double>& own);
+    void makePcaMoments();
+    void makeAxes();
+    void writeEigenvalues();
+    void writeAllPca();
+    void writePca(std::size_t r);
     void writeDistances();
+    void writeMeanDistances(bool areSquares);
 
     const RowMeasures& mMeasures;
     const MeasureTargets& mTargets;
     const bool mWantsWeights, mWantsVectors, mHasRadii, mIsByPair;
-    std::size_t mCapacity = 0; // groups
+    const double mInverseRadius; // of all pairs
+    std::size_t mCapacity = 0;   // groups
     PairGroups mGroups{};
     PageArray<double> mPairs;
     PageArray<std::uint32_t> mGroupRow, mGroupPairs; // PairGroups::row, pairs
@@ -91,11 +103,13 @@ private:
     // By row.
     const std::uint32_t* mCounts = nullptr; // of pairs
     std::vector<double> mOwn;               // 1 where the query is a candidate, else 0
+    bool mHaveOwn = false;                  // all of them 1
     std::vector<double> mOwnWeights;        // of the query in the sums of W: 0 where it is no candidate
     std::vector<double> mReferences;        // radius that W is a multiple of
     std::vector<RowScale> mScales;
-    std::vector<double> mWeightSums, mPcaSums, mSums, mValidSums, mTotals, mVectors, mCenters, mMoments,
-        mEigen;
+    std::vector<double> mOnes, mWeightSums, mPcaSums, mSums, mPreciseSums, mValidSums, mTotals, mVectors,
+        mCenters, mMoments, mAxes, mStretches;
+    std::vector<PcaRow> mPcaRows;
 };
 
 } // namespace vdb_nns
