@@ -15,11 +15,21 @@ namespace {
 // Pads candidates to a whole vector: far from everything.
 constexpr float kFarAway = 1e30f;
 
-// kFar: the candidates have radii; `far` by slot, as SetContext::candidateFar.
+// What the taker of rows reads of candidates is fetched into the second-level cache.
+inline void fetchAhead(const HaloScratch& scratch, const std::uint32_t* numbers, std::size_t count)
+{
+    for (std::size_t i = 0; i < count; ++i)
+        __builtin_prefetch(scratch.records + scratch.recordBytes * numbers[i], 0, 2);
+}
+
+// To the halo from `at` on. kFar: the candidates have radii; `far` by slot, as SetContext::candidateFar.
 template <bool kFar>
-inline void copyRun(const BlockView& block, const float* far, char* to, std::size_t stride,
+inline void copyRun(const BlockView& block, const float* far, HaloScratch& scratch, std::uint32_t at,
                     std::uint32_t begin, std::uint32_t end, const float shift[3])
 {
+    char* to = scratch.halo() + std::size_t(at) * sizeof(float);
+    const std::size_t stride = scratch.stride;
+    if (scratch.records) fetchAhead(scratch, block.number + begin, end - begin);
     const Simd::F sx = Simd::set(shift[0]), sy = Simd::set(shift[1]), sz = Simd::set(shift[2]);
     // 64 bits: the last slots are so near 2^32 that a vector's step would wrap.
     for (std::size_t i = begin; i < end; i += Simd::kLanes, to += Simd::kLanes * sizeof(float)) {
@@ -100,7 +110,7 @@ inline void fillHalo(const BlockView& block, const LeafCells* leaves, HaloScratc
                         cell += bits & 1;
                     }
                     const float shift[3] = {8.0f * (nx - 1), 8.0f * (ny - 1), 8.0f * (nz - 1)};
-                    copyRun<kFar>(block, far, halo.halo() + std::size_t(at) * sizeof(float), halo.stride,
+                    copyRun<kFar>(block, far, halo, at,
                                   begin, *cell, shift);
                     at += *cell - begin;
                 }
@@ -148,8 +158,7 @@ inline std::uint32_t fillHaloBox(const BlockView& block, const LeafCells* leaves
                     cell += bits & 1;
                 }
                 const float shift[3] = {8.0f * (nx - 1), 8.0f * (ny - 1), 8.0f * (nz - 1)};
-                copyRun<kFar>(block, far, halo.halo() + std::size_t(at) * sizeof(float), halo.stride, begin,
-                              *cell, shift);
+                copyRun<kFar>(block, far, halo, at, begin, *cell, shift);
                 at += *cell - begin;
             }
             *start = at;
@@ -214,14 +223,14 @@ template <bool kFar = false>
 inline void copyRuns(const BlockView& block, const HaloRun* runs, std::uint32_t runCount,
                      HaloScratch& scratch, const float* far = nullptr)
 {
-    char* to = scratch.halo();
+    std::uint32_t at = 0;
     for (std::uint32_t r = 0; r < runCount; ++r) {
         const int n = runs[r].leaf;
         const float shift[3] = {8.0f * (n / 9 - 1), 8.0f * (n / 3 % 3 - 1), 8.0f * (n % 3 - 1)};
-        copyRun<kFar>(block, far, to, scratch.stride, runs[r].begin, runs[r].end, shift);
-        to += std::size_t(runs[r].end - runs[r].begin) * sizeof(float);
+        copyRun<kFar>(block, far, scratch, at, runs[r].begin, runs[r].end, shift);
+        at += runs[r].end - runs[r].begin;
     }
-    endCandidates<kFar>(to, scratch.stride);
+    endCandidates<kFar>(scratch.halo() + std::size_t(at) * sizeof(float), scratch.stride);
 }
 
 // Copies the particles of the cells in reach of cell (x, y, z) of the leaf, in visiting order. Returns how many there are;
@@ -254,8 +263,7 @@ inline std::uint32_t copyReach(const BlockView& block, const LeafCells* leaves, 
                     self = copied + (cell[__builtin_popcountll(under)] - begin);
                 }
                 const float shift[3] = {8.0f * (nx - 1), 8.0f * (ny - 1), 8.0f * (nz - 1)};
-                copyRun<kFar>(block, far, to + std::size_t(copied) * sizeof(float), scratch.stride, begin,
-                              end, shift);
+                copyRun<kFar>(block, far, scratch, copied, begin, end, shift);
                 copied += end - begin;
             }
         }

@@ -149,17 +149,31 @@ VDB_NNS_INLINE void sumRows(const PairGroups& groups, const RowScale* scales, st
         }
         note(g + 1);
     }
-    for (std::size_t r = 0; r < groups.rows; ++r) {
-        const std::size_t first = groups.firstGroup[r], end = groups.firstGroup[r + 1];
-        for (std::size_t n = 0; n < kSums; ++n, ++out) {
-            const std::uint64_t sum =
-                S::sum(S::difference(S::loadBits(scratch + (end * kSums + n) * S::kLanes),
-                                     S::loadBits(scratch + (first * kSums + n) * S::kLanes))) -
-                (end - first) * kGroup * kShiftBits;
-            // Without a scale terms are infinite.
-            *out = scales[r].scale > 0
-                       ? static_cast<double>(static_cast<std::int64_t>(sum)) * scales[r].inverse
-                       : scales[r].inverse;
+    // Four sums at a time, of as many rows or of one; the last ones more than once.
+    constexpr std::size_t kSumsOfRow = kSums, kRows = kSums < 4 ? 4 : 1;
+    for (std::size_t r = 0; r < groups.rows; r += kRows) {
+        for (std::size_t n = 0; n < kSumsOfRow; n += 4 / kRows) {
+            S::I four[4];
+            std::size_t row[4], of[4];
+            std::uint64_t bits[4];
+            for (std::size_t l = 0; l < 4; ++l) {
+                row[l] = kRows == 1 || r + l < groups.rows ? r + l % kRows : groups.rows - 1;
+                of[l] = kRows == 4 ? n : n + l < kSumsOfRow ? n + l : kSumsOfRow - 1;
+                const std::size_t first = groups.firstGroup[row[l]], end = groups.firstGroup[row[l] + 1];
+                four[l] = S::difference(S::loadBits(scratch + (end * kSumsOfRow + of[l]) * S::kLanes),
+                                        S::loadBits(scratch + (first * kSumsOfRow + of[l]) * S::kLanes));
+                bits[l] = (end - first) * kGroup * kShiftBits;
+            }
+            std::uint64_t sums[4];
+            S::sumFour(four, sums);
+            for (std::size_t l = 0; l < 4; ++l) {
+                const RowScale& scale = scales[row[l]];
+                // Without a scale terms are infinite.
+                out[row[l] * kSumsOfRow + of[l]] =
+                    scale.scale > 0
+                        ? static_cast<double>(static_cast<std::int64_t>(sums[l] - bits[l])) * scale.inverse
+                        : scale.inverse;
+            }
         }
     }
 }

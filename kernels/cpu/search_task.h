@@ -92,6 +92,9 @@ struct HaloScratch {
     std::size_t capacity; // particles: candidates of a leaf, or queries among wider cells
     void* owner;
     void (*reserve)(HaloScratch& scratch, std::size_t particles);
+    // What the taker of rows will read of candidates, by number; null: nothing.
+    const char* records;
+    std::size_t recordBytes;
 
     char* kept() const { return base; }
     char* halo() const { return base + 5 * stride; }

@@ -1,7 +1,8 @@
 // Vectors of doubles for each instruction set: SimdD. Included by the search_*.cpp files only, each compiled with its own flags:
 // everything has internal linkage. All lanes do the same IEEE operations, so that results do not depend on their number.
 //
-// where(m, a, b) takes a in the lanes of m. Integers: added bit patterns of doubles, modulo 2^64; sum() is that of all lanes.
+// where(m, a, b) takes a in the lanes of m. Integers: added bit patterns of doubles, modulo 2^64; sumFour() adds up all lanes of each of four
+// vectors.
 #pragma once
 
 #include <cstddef>
@@ -17,6 +18,22 @@
 
 namespace vdb_nns {
 namespace {
+
+#if defined(VDB_NNS_SIMD_AVX512) || defined(VDB_NNS_SIMD_AVX2)
+
+// The lanes of each of four vectors. Not _mm512_reduce_add_epi64(), which adds signed numbers, which must not wrap.
+VDB_NNS_INLINE void sumFourHalves(const __m256i (&v)[4], std::uint64_t* sums)
+{
+    __m256i two[2]; // of the lower halves and of the upper ones
+    for (int k = 0; k < 2; ++k)
+        two[k] = _mm256_add_epi64(_mm256_unpacklo_epi64(v[2 * k], v[2 * k + 1]),
+                                  _mm256_unpackhi_epi64(v[2 * k], v[2 * k + 1]));
+    const __m256i lower = _mm256_permute2x128_si256(two[0], two[1], 0x20),
+                  upper = _mm256_permute2x128_si256(two[0], two[1], 0x31);
+    _mm256_storeu_si256(reinterpret_cast<__m256i*>(sums), _mm256_add_epi64(lower, upper));
+}
+
+#endif
 
 #if defined(VDB_NNS_SIMD_AVX512)
 
@@ -44,12 +61,12 @@ struct SimdD {
     static I difference(I a, I b) { return _mm512_sub_epi64(a, b); }
     static I loadBits(const std::uint64_t* p) { return _mm512_loadu_si512(p); }
     static void storeBits(std::uint64_t* p, I v) { _mm512_storeu_si512(p, v); }
-    static std::uint64_t sum(I v) // _mm512_reduce_add_epi64() adds signed numbers, which must not wrap
+    static void sumFour(const I (&v)[4], std::uint64_t* sums)
     {
-        const __m256i four = _mm256_add_epi64(_mm512_castsi512_si256(v), _mm512_extracti64x4_epi64(v, 1));
-        const __m128i two = _mm_add_epi64(_mm256_castsi256_si128(four), _mm256_extracti128_si256(four, 1));
-        return static_cast<std::uint64_t>(_mm_cvtsi128_si64(two)) +
-               static_cast<std::uint64_t>(_mm_extract_epi64(two, 1));
+        __m256i half[4];
+        for (int k = 0; k < 4; ++k)
+            half[k] = _mm256_add_epi64(_mm512_castsi512_si256(v[k]), _mm512_extracti64x4_epi64(v[k], 1));
+        sumFourHalves(half, sums);
     }
     static double greatest(D v) { return _mm512_reduce_max_pd(v); }
 };
@@ -83,12 +100,7 @@ struct SimdD {
         return _mm256_loadu_si256(reinterpret_cast<const __m256i*>(p));
     }
     static void storeBits(std::uint64_t* p, I v) { _mm256_storeu_si256(reinterpret_cast<__m256i*>(p), v); }
-    static std::uint64_t sum(I v)
-    {
-        const __m128i two = _mm_add_epi64(_mm256_castsi256_si128(v), _mm256_extracti128_si256(v, 1));
-        return static_cast<std::uint64_t>(_mm_cvtsi128_si64(two)) +
-               static_cast<std::uint64_t>(_mm_extract_epi64(two, 1));
-    }
+    static void sumFour(const I (&v)[4], std::uint64_t* sums) { sumFourHalves(v, sums); }
     static double greatest(D v)
     {
         const __m128d two = _mm_max_pd(_mm256_castpd256_pd128(v), _mm256_extractf128_pd(v, 1));
@@ -122,11 +134,10 @@ struct SimdD {
     static I difference(I a, I b) { return _mm_sub_epi64(a, b); }
     static I loadBits(const std::uint64_t* p) { return _mm_loadu_si128(reinterpret_cast<const __m128i*>(p)); }
     static void storeBits(std::uint64_t* p, I v) { _mm_storeu_si128(reinterpret_cast<__m128i*>(p), v); }
-    static std::uint64_t sum(I v)
+    static void sumFour(const I (&v)[4], std::uint64_t* sums)
     {
-        std::uint64_t lane[2];
-        _mm_storeu_si128(reinterpret_cast<__m128i*>(lane), v);
-        return lane[0] + lane[1];
+        for (int k = 0; k < 4; k += 2)
+            storeBits(sums + k, _mm_add_epi64(_mm_unpacklo_epi64(v[k], v[k + 1]), _mm_unpackhi_epi64(v[k], v[k + 1])));
     }
     static double greatest(D v) { return _mm_cvtsd_f64(_mm_max_sd(v, _mm_unpackhi_pd(v, v))); }
 };
@@ -162,7 +173,10 @@ struct SimdD {
     static I difference(I a, I b) { return a - b; }
     static I loadBits(const std::uint64_t* p) { return *p; }
     static void storeBits(std::uint64_t* p, I v) { *p = v; }
-    static std::uint64_t sum(I v) { return v; }
+    static void sumFour(const I (&v)[4], std::uint64_t* sums)
+    {
+        for (int k = 0; k < 4; ++k) sums[k] = v[k];
+    }
     static double greatest(D v) { return v; }
 };
 

@@ -261,7 +261,11 @@ private:
         runs.forEach([&](const SearchRun& run) {
             const bool isHalfEnough = !mTargets->wantsRows() && run.kernels.smaller;
             const RowKind kind = isHalfEnough ? RowKind::kSmaller : RowKind::kVisit;
-            visitTasks(mState, run, kind, [&](const SearchRun& part, ThreadState&) {
+            visitTasks(mState, run, kind, [&](const SearchRun& part, ThreadState& state) {
+                if (mTargets->wantsRows()) {
+                    state.halo.records = static_cast<const char*>(measures.positions.candidates());
+                    state.halo.recordBytes = measures.positions.recordBytes();
+                }
                 return PassCallback(part, batches.local(), mTargets->wantsRows(), clusters,
                                     result->rowCount.data() + part.firstRow);
             });

@@ -215,6 +215,19 @@ void PairPositions::read(const ParticleView& queries, const ParticleView& candid
     }
 }
 
+std::size_t PairPositions::recordBytes() const
+{
+    switch (mRecord) {
+    case PositionRecord::kFloats:
+    case PositionRecord::kVoxels:
+        return sizeof(FloatPosition);
+    case PositionRecord::kDoubles:
+    case PositionRecord::kWideVoxels:
+        break;
+    }
+    return sizeof(DoublePosition);
+}
+
 Vec3d PairPositions::lookUp(std::uint32_t query, std::uint32_t candidate) const
 {
     const StoredPosition from = mQueries->stored(query), to = mCandidates->stored(candidate);

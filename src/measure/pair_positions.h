@@ -26,6 +26,7 @@ public:
     const PairMap& map() const { return mMap; }
     const void* queries() const { return mQueryData; }
     const void* candidates() const { return mCandidateData; }
+    std::size_t recordBytes() const;
 
     // Whether differences from some particles, or to them, come out as NaN: those are to be looked up.
     bool hasUnknown() const { return mHasUnknown; }

@@ -71,6 +71,7 @@ void ThreadState::begin()
     mExactMemory = {};
     sink.out = sink.end = nullptr;
     sink.tailSize = 0;
+    halo.records = nullptr;
 }
 
 void ThreadState::countDecision()
