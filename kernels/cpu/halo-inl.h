@@ -110,8 +110,7 @@ inline void fillHalo(const BlockView& block, const LeafCells* leaves, HaloScratc
                         cell += bits & 1;
                     }
                     const float shift[3] = {8.0f * (nx - 1), 8.0f * (ny - 1), 8.0f * (nz - 1)};
-                    copyRun<kFar>(block, far, halo, at,
-                                  begin, *cell, shift);
+                    copyRun<kFar>(block, far, halo, at, begin, *cell, shift);
                     at += *cell - begin;
                 }
             }

@@ -137,7 +137,8 @@ struct SimdD {
     static void sumFour(const I (&v)[4], std::uint64_t* sums)
     {
         for (int k = 0; k < 4; k += 2)
-            storeBits(sums + k, _mm_add_epi64(_mm_unpacklo_epi64(v[k], v[k + 1]), _mm_unpackhi_epi64(v[k], v[k + 1])));
+            storeBits(sums + k,
+                      _mm_add_epi64(_mm_unpacklo_epi64(v[k], v[k + 1]), _mm_unpackhi_epi64(v[k], v[k + 1])));
     }
     static double greatest(D v) { return _mm_cvtsd_f64(_mm_max_sd(v, _mm_unpackhi_pd(v, v))); }
 };

@@ -11,9 +11,10 @@ namespace vdb_nns {
 namespace {
 
 constexpr std::size_t kBatchGroups = 64; // whose columns fit the first-level cache
-// Sums at a scale for the greatest terms there can be are precise enough from this share of that on: their errors are then
-// below 2^-35 a term. Others are made again at a scale of their own.
-constexpr double kLeastOfBound = 1.0 / (1 << 16);
+// Sums at a scale for the greatest terms that there can be have errors of up to 2^-50 of those a term. They are good enough where the
+// mean term is this share of the greatest: then 2^-46 of the largest term of the row is lost a term; of moments, which sum up three
+// products, 2^-44. Other sums are made again, at a scale of their own.
+constexpr double kLeastMean = 1.0 / 16, kLeastMoment = kLeastMean / 4;
 constexpr double kPi = 3.14159265358979323846;
 
 std::size_t groupsOf(std::size_t pairs)
@@ -280,7 +281,7 @@ void RowBatch::writeMeanDistances(bool areSquares)
     mMeasures.kernels.distanceSums(mGroups, column(kDistance), areSquares, scalesOf(mReferences), scratch(1),
                                    mSums.data());
     const auto isPrecise = [&](std::size_t r) {
-        return !mIsByPair && mSums[r] >= kLeastOfBound * mReferences[r] * mCounts[r];
+        return !mIsByPair && mSums[r] >= kLeastMean * mReferences[r] * mCounts[r];
     };
     bool areAllPrecise = true;
     for (std::size_t r = 0; r < mGroups.rows; ++r) areAllPrecise = areAllPrecise && isPrecise(r);
@@ -434,7 +435,7 @@ struct RowBatch::PcaRow {
                                     center[0] * center[1], center[0] * center[2], center[1] * center[2]};
         for (int p = 0; p < 6; ++p) moments[p] = sums[4 + p] / total - ofCenter[p];
         const double spread = (moments[0] + moments[1] + moments[2]) * total;
-        isPrecise = own > 0 && (count == 0 || spread >= kLeastOfBound);
+        isPrecise = own > 0 && (count == 0 || spread >= kLeastMoment * count);
     }
 };
 

@@ -2,6 +2,7 @@
 // that is used again. Whether they are right is for the check of verify (tests/verify/test_measure_agreement.cpp).
 #include "../agreement/point_views.h"
 #include "../support/distributions.h"
+#include "../support/tiny_rows.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/measure.h"
 #include "vdb_nns/progress.h"
@@ -311,6 +312,31 @@ TEST(Measure, PcaIsTheSameAtEveryScale)
     const std::string expected = pcaAt(0);
     for (const int exponent : {-400, -300, -1, 1, 300, 400})
         EXPECT_TRUE(pcaAt(exponent) == expected) << exponent;
+}
+
+// Whatever rows a batch has beside it, a row's values are the same.
+TEST(Measure, ValuesDoNotDependOnOtherRows)
+{
+    const std::vector<double> xyz = rowsOfTinyTerms(0.1);
+    const std::vector<std::string> names = {"density", "mean_distance", "normal", "eigenvalues", "pca"};
+    const auto measureFrom = [&](std::size_t first, std::size_t count) {
+        return measure(ParticleView::fromArray(xyz.data() + 3 * first, count), 0.1, names);
+    };
+    const std::size_t count = xyz.size() / 3;
+    const PointValues all = measureFrom(0, count);
+    for (std::size_t first = 0; first < count;) {
+        std::size_t end = first; // of the points of one place
+        while (end < count && xyz[3 * end] - xyz[3 * first] < 50) ++end;
+        const PointValues alone = measureFrom(first, end - first);
+        for (std::size_t a = 0; a < all.attributes.size(); ++a) {
+            const std::size_t bytes = attributeBytes(all.attributes[a].type);
+            EXPECT_EQ(std::memcmp(static_cast<const char*>(all.attributes[a].values.get()) + first * bytes,
+                                  alone.attributes[a].values.get(), (end - first) * bytes),
+                      0)
+                << all.attributes[a].name << " from point " << first;
+        }
+        first = end;
+    }
 }
 
 TEST(Measure, ResultsOutliveTheNextRun)

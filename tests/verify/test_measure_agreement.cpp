@@ -3,6 +3,7 @@
 #include "../agreement/point_views.h"
 #include "../support/distributions.h"
 #include "../support/oracle.h"
+#include "../support/tiny_rows.h"
 #include "set_source.h"
 #include "vdb_nns/measure.h"
 #include "vdb_nns/search.h"
@@ -194,6 +195,20 @@ TEST(MeasureAgreement, EveryDistribution)
         options.masses = {values.masses.data(), values.masses.size()};
         options.kernel = SmoothingKernel::kWendland2;
         expectAgreement(all, set.set.radius, options);
+    }
+}
+
+TEST(MeasureAgreement, RowsOfTinyTerms)
+{
+    for (const double radius : {0.1, 1e-60, 1e60}) {
+        SCOPED_TRACE(radius);
+        const std::vector<double> xyz = rowsOfTinyTerms(radius);
+        const ParticleView view = ParticleView::fromArray(xyz.data(), xyz.size() / 3);
+        const Values values(view.size());
+        MeasureOptions options;
+        options.attributes = values.attributes();
+        options.pca = {0.5, 1, 2, 0.01};
+        expectAgreement({view, view, Radius(radius)}, withClusters(), options);
     }
 }
 
