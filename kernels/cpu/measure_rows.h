@@ -8,7 +8,7 @@
 //   [8 pairs] [3 pairs, 5 pads]     [8 pairs] [8 pairs] [1, 7 pads]   weights are 0 there
 //
 // Sums over a row do not depend on the order of its pairs, nor on the instruction set: they are sums of integers. The largest
-// magnitude of a row's terms is below 2^e; each term is multiplied by 2^(b-e) and rounded to the nearest integer, with b = 50, or
+// magnitude of a row's terms is below 2^e, or may be by what is known before, but for a rounding; each term is multiplied by 2^(b-e) and rounded to the nearest integer, with b = 50, or
 // less so that 2^b times the number of pairs stays below 2^62. So each has an error of at most 2^(e-b-1), and the sum is rounded
 // once more where it passes 2^53.
 #pragma once
@@ -102,8 +102,7 @@ struct RowScale {
 };
 
 // Weights, and each row's sum of them at scales known before. `areSquares`, here and below: distances are given by their squares, and
-// come in their place. That is apart from what makes the squares: the roots would wait for those, and little else fits into the
-// processor's window meanwhile. `scratch`, here and below: kGroup numbers for each group and one group more, times the number of sums.
+// come in their place; what makes the squares leaves the roots to others, since they would wait there. `scratch`, here and below: kGroup numbers for each group and one group more, times the number of sums.
 using WeightsFunction = void (*)(PairWeight weight, const PairGroups& groups, double* distance,
                                  bool areSquares, const PairRadii& radii, const RowScale* scales,
                                  std::uint64_t* scratch, double* out, double* sums);
@@ -143,7 +142,8 @@ using DistanceSumsFunction = void (*)(const PairGroups& groups, double* distance
 using AxesFunction = void (*)(const double* matrices, std::size_t count, double* out);
 constexpr std::size_t kAxesNumbers = 12, kAxesPad = 2 * kPairPad;
 
-// Lengths of the axes of an ellipsoid of volume 1: by `values` in descending order, which are raised to `anisotropy` of the largest.
+// Lengths of the axes of ellipsoids of volume 1, by values as AxesFunction writes them, raised to at least `anisotropy` of the largest; 1
+// where that is 0. `out`: the first lengths, the second ones, the third ones.
 using StretchesFunction = void (*)(const double* values, std::size_t count, double anisotropy, double* out);
 
 struct MeasureKernels {

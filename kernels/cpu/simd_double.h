@@ -21,10 +21,10 @@ namespace {
 
 #if defined(VDB_NNS_SIMD_AVX512) || defined(VDB_NNS_SIMD_AVX2)
 
-// The lanes of each of four vectors. Not _mm512_reduce_add_epi64(), which adds signed numbers, which must not wrap.
+// The lanes of each of four vectors.
 VDB_NNS_INLINE void sumFourHalves(const __m256i (&v)[4], std::uint64_t* sums)
 {
-    __m256i two[2]; // of the lower halves and of the upper ones
+    __m256i two[2]; // of vectors 0 and 1, and of 2 and 3
     for (int k = 0; k < 2; ++k)
         two[k] = _mm256_add_epi64(_mm256_unpacklo_epi64(v[2 * k], v[2 * k + 1]),
                                   _mm256_unpackhi_epi64(v[2 * k], v[2 * k + 1]));
@@ -63,7 +63,7 @@ struct SimdD {
     static void storeBits(std::uint64_t* p, I v) { _mm512_storeu_si512(p, v); }
     static void sumFour(const I (&v)[4], std::uint64_t* sums)
     {
-        __m256i half[4];
+        __m256i half[4]; // not _mm512_reduce_add_epi64(), which adds signed numbers, which must not wrap
         for (int k = 0; k < 4; ++k)
             half[k] = _mm256_add_epi64(_mm512_castsi512_si256(v[k]), _mm512_extracti64x4_epi64(v[k], 1));
         sumFourHalves(half, sums);

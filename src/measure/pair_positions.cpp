@@ -194,6 +194,7 @@ void PairPositions::read(const ParticleView& queries, const ParticleView& candid
     mCandidates = &candidates.source();
     mHasUnknown = false;
     const bool isAlike = haveSameCoordinates(*mQueries, *mCandidates);
+    mAreStored = isAlike;
     mMap = mapOf(*mQueries, !isAlike || mQueries->isArray());
     if (!isAlike) {
         copy<DoubleCopy>(PositionRecord::kDoubles, true, cancel, memory);
@@ -219,13 +220,15 @@ std::size_t PairPositions::recordBytes() const
 {
     switch (mRecord) {
     case PositionRecord::kFloats:
-    case PositionRecord::kVoxels:
         return sizeof(FloatPosition);
     case PositionRecord::kDoubles:
+        return sizeof(DoublePosition);
+    case PositionRecord::kVoxels:
+        return sizeof(VoxelPosition9);
     case PositionRecord::kWideVoxels:
         break;
     }
-    return sizeof(DoublePosition);
+    return sizeof(WideVoxelPosition);
 }
 
 Vec3d PairPositions::lookUp(std::uint32_t query, std::uint32_t candidate) const

@@ -28,6 +28,10 @@ public:
     const void* candidates() const { return mCandidateData; }
     std::size_t recordBytes() const;
 
+    // Whether differences are of the stored coordinates. Of two sets whose coordinates are not alike they are of rounded positions, and
+    // neighbors may be farther apart than the radius by what rounding does.
+    bool areStored() const { return mAreStored; }
+
     // Whether differences from some particles, or to them, come out as NaN: those are to be looked up.
     bool hasUnknown() const { return mHasUnknown; }
     // Candidate less query, with the map, from the stored positions.
@@ -43,7 +47,7 @@ private:
     Copy copy(PositionRecord record, bool isWorld, const CancelCheck& cancel, PageArray<char> (&memory)[2]);
 
     const ParticleSource *mQueries = nullptr, *mCandidates = nullptr;
-    bool mHasUnknown = false;
+    bool mAreStored = true, mHasUnknown = false;
     PositionRecord mRecord = PositionRecord::kFloats;
     PairMap mMap{};
     const char* mQueryData = nullptr;

@@ -15,6 +15,7 @@ constexpr std::size_t kBatchGroups = 64; // whose columns fit the first-level ca
 // mean term is this share of the greatest: then 2^-46 of the largest term of the row is lost a term; of moments, which sum up three
 // products, 2^-44. Other sums are made again, at a scale of their own.
 constexpr double kLeastMean = 1.0 / 16, kLeastMoment = kLeastMean / 4;
+constexpr std::uint32_t kMostAtOnce = 4088; // pairs: with more the integers would have fewer bits
 constexpr double kPi = 3.14159265358979323846;
 
 std::size_t groupsOf(std::size_t pairs)
@@ -152,7 +153,7 @@ void RowBatch::setOwnWeights()
         mOwn[r] = isOwn ? 1 : 0;
     }
     mOwnWeights = mOwn;
-    mHaveOwn = std::find(mOwn.begin(), mOwn.end(), 0) == mOwn.end();
+    mAllHaveOwn = std::find(mOwn.begin(), mOwn.end(), 0) == mOwn.end();
 }
 
 void RowBatch::setRadii()
@@ -218,7 +219,7 @@ PairRadii RowBatch::radii()
 // For `sums` sums at a time.
 std::uint64_t* RowBatch::scratch(std::size_t sums)
 {
-    mScratch.resize(std::max(mScratch.size(), (mGroups.groups + 1) * kGroup * sums));
+    mScratch.resizeDiscarding((mGroups.groups + 1) * kGroup * sums);
     return mScratch.data();
 }
 
@@ -239,7 +240,7 @@ void RowBatch::weigh(PairWeight weight, bool areSquares, Column out, std::vector
     if (mIsByPair && out == kWeight) {
         scaleByRadii();
         sum(out, 0, kFactorX, false, sums);
-    } else if (!mHaveOwn) {
+    } else if (!mAllHaveOwn) {
         sum(out, 0, kFactorX, true, sums);
     }
 }
@@ -280,8 +281,10 @@ void RowBatch::writeMeanDistances(bool areSquares)
     mSums.resize(mGroups.rows);
     mMeasures.kernels.distanceSums(mGroups, column(kDistance), areSquares, scalesOf(mReferences), scratch(1),
                                    mSums.data());
+    const bool areBounded = !mIsByPair && mMeasures.positions.areStored();
     const auto isPrecise = [&](std::size_t r) {
-        return !mIsByPair && mSums[r] >= kLeastMean * mReferences[r] * mCounts[r];
+        return areBounded && mCounts[r] <= kMostAtOnce &&
+               mSums[r] >= kLeastMean * mReferences[r] * mCounts[r];
     };
     bool areAllPrecise = true;
     for (std::size_t r = 0; r < mGroups.rows; ++r) areAllPrecise = areAllPrecise && isPrecise(r);
@@ -421,25 +424,16 @@ void RowBatch::writeEigenvalues()
     }
 }
 
-// Moments of points::pca in units of the radius, from those about the query, which one loop has summed up. Where the query is one of
-// the points itself, little cancels.
-struct RowBatch::PcaRow {
-    double center[3], moments[6];
-    bool isPrecise;
-
-    PcaRow(const double* sums, double own, std::uint32_t count)
-    {
-        const double total = sums[0] + own;
-        for (int c = 0; c < 3; ++c) center[c] = sums[1 + c] / total;
-        const double ofCenter[6] = {center[0] * center[0], center[1] * center[1], center[2] * center[2],
-                                    center[0] * center[1], center[0] * center[2], center[1] * center[2]};
-        for (int p = 0; p < 6; ++p) moments[p] = sums[4 + p] / total - ofCenter[p];
-        const double spread = (moments[0] + moments[1] + moments[2]) * total;
-        isPrecise = own > 0 && (count == 0 || spread >= kLeastMoment * count);
-    }
-};
-
-RowBatch::~RowBatch() = default;
+RowBatch::PcaRow::PcaRow(const double* sums, double own, std::uint32_t count)
+{
+    const double total = sums[0] + own;
+    for (int c = 0; c < 3; ++c) center[c] = sums[1 + c] / total;
+    const double ofCenter[6] = {center[0] * center[0], center[1] * center[1], center[2] * center[2],
+                                center[0] * center[1], center[0] * center[2], center[1] * center[2]};
+    for (int p = 0; p < 6; ++p) moments[p] = sums[4 + p] / total - ofCenter[p];
+    const double spread = (moments[0] + moments[1] + moments[2]) * total;
+    isPrecise = own > 0 && (count == 0 || (count <= kMostAtOnce && spread >= kLeastMoment * count));
+}
 
 void RowBatch::makePcaMoments()
 {

@@ -38,7 +38,6 @@ struct RowMeasures {
 class RowBatch {
 public:
     explicit RowBatch(const RowMeasures& measures);
-    ~RowBatch();
 
     // Writes the values of queries, given by number, whose rows these are.
     void take(const std::uint32_t* queries, const VisitedRows& rows);
@@ -60,7 +59,14 @@ private:
         kColumns
     };
 
-    struct PcaRow;
+    // Moments of points::pca in units of the radius, from those about the query, which one loop has summed up. Where the query is one
+    // of the points itself, little cancels.
+    struct PcaRow {
+        double center[3], moments[6]; // moments as MomentsFunction has them
+        bool isPrecise;
+
+        PcaRow(const double* sums, double own, std::uint32_t count);
+    };
 
     double* column(int c) { return mPairs.data() + static_cast<std::size_t>(c) * mCapacity * kGroup; }
     void reserve(std::size_t groups);
@@ -99,11 +105,11 @@ private:
     PageArray<double> mPairs;
     PageArray<std::uint32_t> mGroupRow, mGroupPairs; // PairGroups::row, pairs
     std::vector<std::uint32_t> mFirstGroup;
-    std::vector<std::uint64_t> mScratch;
+    PageArray<std::uint64_t> mScratch;
     // By row.
     const std::uint32_t* mCounts = nullptr; // of pairs
     std::vector<double> mOwn;               // 1 where the query is a candidate, else 0
-    bool mHaveOwn = false;                  // all of them 1
+    bool mAllHaveOwn = false;               // they are all 1
     std::vector<double> mOwnWeights;        // of the query in the sums of W: 0 where it is no candidate
     std::vector<double> mReferences;        // radius that W is a multiple of
     std::vector<RowScale> mScales;

@@ -57,10 +57,13 @@ TEST(Halo, CopiesTheLastSlotsThatThereCanBe)
     block.z = z.data();
     block.number = number.data();
     constexpr std::size_t kStride = 64 * sizeof(float); // 19 particles and a vector more
-    std::vector<float> halo(5 * kStride / sizeof(float));
-    char* const to = reinterpret_cast<char*>(halo.data());
+    std::vector<float> memory(10 * kStride / sizeof(float));
+    HaloScratch scratch{};
+    scratch.base = reinterpret_cast<char*>(memory.data());
+    scratch.stride = kStride;
+    const char* const to = scratch.halo();
     const float shift[3] = {8, 0, -8};
-    copyRun<false>(block, nullptr, to, kStride, kBegin, kEnd, shift);
+    copyRun<false>(block, nullptr, scratch, 0, kBegin, kEnd, shift);
     for (std::uint32_t k = 0; k < kEnd - kBegin; ++k) {
         EXPECT_EQ(floats(to)[k], static_cast<float>(k) + 8);
         EXPECT_EQ(floats(to + 2 * kStride)[k], -8);

@@ -339,6 +339,25 @@ TEST(Measure, ValuesDoNotDependOnOtherRows)
     }
 }
 
+// Their exact positions are within the radius, on two sides of where doubles are rounded down and up.
+TEST(Measure, DistancesOfTwoGridsMayPassTheRadius)
+{
+    const double half = std::ldexp(1, -23), little = std::ldexp(1, -40), apart = 2 * half;
+    PointSet queries, candidates;
+    queries.points = {{{1 << 30, 0, 0}, {half - little, 0, 0}}};
+    candidates.linear = {{{2, 0, 0}, {0, 2, 0}, {0, 0, 2}}};
+    candidates.points = {{{1 << 29, 0, 0}, {(half + little) / 2, 0, 0}}};
+    const ParticleView from(std::make_shared<VoxelSource>(queries)),
+        to(std::make_shared<VoxelSource>(candidates));
+    SearchEngine engine;
+    const SearchSets sets = engine.sort(to, from, Radius(4 * little), {});
+    const PointValues values =
+        engine.measure(sets, {"count", "mean_distance", "nearest_distance"}, MeasureOptions()).values;
+    EXPECT_EQ(*static_cast<const std::int32_t*>(values.attributes[0].values.get()), 1);
+    for (std::size_t k = 1; k < 3; ++k)
+        EXPECT_EQ(*static_cast<const float*>(values.attributes[k].values.get()), static_cast<float>(apart));
+}
+
 TEST(Measure, ResultsOutliveTheNextRun)
 {
     const PointSet set = arraySets(Precision::kFloat)[5];

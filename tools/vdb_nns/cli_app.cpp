@@ -7,9 +7,11 @@
 #include "signals.h"
 #include "standard_streams.h"
 #include "thread_failure.h"
+#include "threads.h"
 #include "vdb_nns/error.h"
 #include "vdb_nns/version.h"
 
+#include <tbb/global_control.h>
 #include <tbb/task_arena.h>
 
 #include <algorithm>
@@ -107,6 +109,8 @@ public:
     TbbScheduler()
     {
         if (!isFree(std::size_t(8) << 20)) throw std::bad_alloc();
+        // How many threads there can ever be is set now.
+        const tbb::global_control most(tbb::global_control::max_allowed_parallelism, kMostThreads);
         mArena.initialize();
     }
 

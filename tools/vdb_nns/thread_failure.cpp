@@ -20,7 +20,10 @@ std::terminate_handler gDefaultHandler = nullptr;
 
 [[noreturn]] void explainNoMemory()
 {
-    std::fputs("vdb_nns: error: the memory is used up; use a machine with more memory\n", stderr);
+    std::fputs(
+        "vdb_nns: error: the memory is used up; allow more address space (ulimit -v), or use a machine with "
+        "more memory\n",
+        stderr);
     ::_exit(kNoRoom);
 }
 
@@ -46,7 +49,8 @@ std::terminate_handler gDefaultHandler = nullptr;
 void prepareForLibraries()
 {
     gDefaultHandler = std::set_terminate(explainTermination);
-    // Without memory the initialisers of oneTBB (2022.1) crash. Those of log4cplus have taken the stacks of four threads by then.
+    // Without memory the initialisers of oneTBB (2022.1) crash. Those of log4cplus have taken the stacks of four threads by then, of
+    // 8 MiB as a rule; the rest is for TBB.
     constexpr std::size_t kOfLibraries = std::size_t(48) << 20;
     if (!isFree(kOfLibraries)) explainNoMemory();
 }

@@ -4,7 +4,8 @@
 // The bound of a sum of n terms, each a weight times a coefficient, is the sum of what the errors of the distances do to each
 // term, and n (2^-46 + n 2^-60) times the largest W(0) |coefficient|, of vectors that of their largest component. The
 // evaluation of a weight in doubles takes a few units of 2^-53 of W(0), the engine's integers 2^-50 of the largest term, or
-// 2^-62 n of it beyond 4096 neighbors: the second bound is more than ten times as much. What follows from sums, quotients,
+// 2^-61 n of it beyond 4088 neighbors, which is far less; those of mean distances may take all of it, those of moments, which have a
+// factor of four, too. What follows from sums, quotients,
 // means and eigenvalues, has the bound that follows to the first order, with a factor of two.
 #pragma once
 
