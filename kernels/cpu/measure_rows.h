@@ -8,9 +8,9 @@
 //   [8 pairs] [3 pairs, 5 pads]     [8 pairs] [8 pairs] [1, 7 pads]   weights are 0 there
 //
 // Sums over a row do not depend on the order of its pairs, nor on the instruction set: they are sums of integers. The largest
-// magnitude of a row's terms is below 2^e, or may be by what is known before, but for a rounding; each term is multiplied by 2^(b-e) and rounded to the nearest integer, with b = 50, or
-// less so that 2^b times the number of pairs stays below 2^62. So each has an error of at most 2^(e-b-1), and the sum is rounded
-// once more where it passes 2^53.
+// magnitude of a row's terms is below 2^e, or that is known of them before they are made, and a rounding may pass it; each term is
+// multiplied by 2^(b-e) and rounded to the nearest integer, with b = 50, or less so that 2^b times the number of pairs stays below
+// 2^62. So each has an error of at most 2^(e-b-1), and the sum is rounded once more where it passes 2^53.
 #pragma once
 
 #include <cstddef>
@@ -102,7 +102,8 @@ struct RowScale {
 };
 
 // Weights, and each row's sum of them at scales known before. `areSquares`, here and below: distances are given by their squares, and
-// come in their place; what makes the squares leaves the roots to others, since they would wait there. `scratch`, here and below: kGroup numbers for each group and one group more, times the number of sums.
+// come in their place; what makes the squares leaves the roots to others, since they would wait there. `scratch`, here and below:
+// kGroup numbers for each group and one group more, times the number of sums.
 using WeightsFunction = void (*)(PairWeight weight, const PairGroups& groups, double* distance,
                                  bool areSquares, const PairRadii& radii, const RowScale* scales,
                                  std::uint64_t* scratch, double* out, double* sums);

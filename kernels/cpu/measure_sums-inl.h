@@ -178,6 +178,19 @@ VDB_NNS_INLINE void sumRows(const PairGroups& groups, const RowScale* scales, st
     }
 }
 
+// Times the inverse of the radius, and at most 1. Distances come in place of their squares.
+template <bool kSquares>
+VDB_NNS_INLINE SimdD::D relativeDistance(double* distance, SimdD::D inverse)
+{
+    using S = SimdD;
+    S::D d = S::load(distance);
+    if (kSquares) {
+        d = S::sqrt(d);
+        S::store(distance, d);
+    }
+    return S::min(S::mul(d, inverse), S::set(1));
+}
+
 template <PairWeight kWeight, bool kSquares>
 void weigh(const PairGroups& groups, double* distance, const PairRadii& radii, const RowScale* scales,
            std::uint64_t* scratch, double* out, double* sums)
@@ -186,12 +199,7 @@ void weigh(const PairGroups& groups, double* distance, const PairRadii& radii, c
     const S::D first = S::set(radii.inverse[0]);
     sumRows<1>(groups, scales, scratch, sums, [&](PairPlace at, S::D scale, S::D(&terms)[1]) {
         const S::D by = radii.areAlike ? first : S::load(radii.inverse + at.k());
-        S::D d = S::load(distance + at.k());
-        if (kSquares) {
-            d = S::sqrt(d);
-            S::store(distance + at.k(), d);
-        }
-        const S::D q = S::min(S::mul(d, by), S::set(1));
+        const S::D q = relativeDistance<kSquares>(distance + at.k(), by);
         const S::D w = S::mul(weightOf<kWeight>(q), maskOf(groups, at));
         S::store(out + at.k(), w);
         terms[0] = S::mul(w, scale);
@@ -289,12 +297,7 @@ void pcaSumsOf(const PairGroups& groups, double* distance, const double* x, cons
         groups, rowScales, scratch, out, [&](PairPlace at, S::D scale, S::D(&terms)[kPcaNumbers]) {
             const std::size_t k = at.k();
             const S::D by = radii.areAlike ? first : S::load(radii.inverse + k);
-            S::D d = S::load(distance + k);
-            if (kSquares) {
-                d = S::sqrt(d);
-                S::store(distance + k, d);
-            }
-            const S::D q = S::min(S::mul(d, by), S::set(1));
+            const S::D q = relativeDistance<kSquares>(distance + k, by);
             const S::D w = S::mul(weightOf<PairWeight::kPca>(q), S::mul(maskOf(groups, at), scale));
             const S::D ux = S::mul(S::load(x + k), by), uy = S::mul(S::load(y + k), by),
                        uz = S::mul(S::load(z + k), by);

@@ -1,8 +1,8 @@
 // Vectors of doubles for each instruction set: SimdD. Included by the search_*.cpp files only, each compiled with its own flags:
 // everything has internal linkage. All lanes do the same IEEE operations, so that results do not depend on their number.
 //
-// where(m, a, b) takes a in the lanes of m. Integers: added bit patterns of doubles, modulo 2^64; sumFour() adds up all lanes of each of four
-// vectors.
+// where(m, a, b) takes a in the lanes of m. Integers: added bit patterns of doubles, modulo 2^64; sumFour() adds up all lanes of
+// each of four vectors.
 #pragma once
 
 #include <cstddef>
