@@ -194,15 +194,59 @@ void gatherNear(const QueryBounds& where, HaloScratch& scratch, int reach, const
     }
 }
 
-// For queries that are candidates of the halo.
-template <bool kBits>
+// Of the cells of the leaf itself only those before the queries', which come last: each pair of the leaf is found once.
+template <bool kBox>
+void gatherHalf(const QueryBounds& where, HaloScratch& scratch, int reach, const std::uint32_t* lowest,
+                CellSearch& cell)
+{
+    using What = Gathered<false, false>;
+    const int side = 8 + 2 * reach, at = static_cast<int>(lowest - scratch.start);
+    const int x = at / (side * side) - reach, y = at / side % side - reach, z = at % side;
+    const int firstInside = z < reach ? reach - z : 0, // of the cells of a run
+        endInside = z + reach >= 8 ? 8 + reach - z : 2 * reach + 1;
+    const char* const halo = scratch.halo();
+    const std::size_t stride = scratch.stride;
+    char* kept = scratch.kept();
+    BitWriter bits{nullptr};
+    const auto keep = [&](std::uint32_t begin, std::uint32_t end) {
+        if (begin < end) kept = gatherRun<What, kBox>(where, halo, stride, begin, end, kept, bits);
+    };
+    for (int dx = -reach; dx <= reach; ++dx) {
+        for (int dy = -reach; dy <= reach; ++dy) {
+            const std::uint32_t* const run = lowest + (dx * side + dy) * side;
+            const std::uint32_t end = run[2 * reach + 1];
+            const bool isInside = ((x + dx) | (y + dy)) >> 3 == 0;
+            if (!isInside || dx < 0 || (dx == 0 && dy < 0)) {
+                keep(run[0], end);
+                continue;
+            }
+            keep(run[0], dx == 0 && dy == 0 ? cell.firstQuery : run[firstInside]);
+            keep(run[endInside], end);
+        }
+    }
+    cell.self = static_cast<std::uint32_t>((kept - scratch.kept()) / sizeof(float));
+    keep(cell.firstQuery, cell.firstQuery + cell.queries);
+    Simd::store(floats(kept + 4 * stride), Simd::set(kFarAway));
+    cell.kept = static_cast<std::uint32_t>((kept - scratch.kept()) / sizeof(float));
+    cell.candidates = candidatesOf(reach, lowest);
+}
+
+// For queries that are candidates of the halo. kHalf: by gatherHalf(), of all queries of the cell.
+template <bool kBits, bool kHalf>
 void gather(const SearchContext& context, HaloScratch& scratch, const std::uint32_t* lowest, CellSearch& cell)
 {
     const float* const x = floats(scratch.halo()) + cell.firstQuery;
     const std::size_t floatsOfStride = scratch.stride / sizeof(float);
+    const int reach = context.block.reach;
     const QueryBounds where =
         boundsOf(context.bounds.reachable, x, x + floatsOfStride, x + 2 * floatsOfStride, cell.queries);
-    gatherNear<Gathered<kBits, false>, true>(where, scratch, context.block.reach, lowest, cell);
+    if constexpr (!kHalf) {
+        gatherNear<Gathered<kBits, false>, true>(where, scratch, reach, lowest, cell);
+    } else if (cell.queries >= kBoxQueries) {
+        gatherHalf<true>(where, scratch, reach, lowest, cell);
+    } else {
+        gatherHalf<false>(where, scratch, reach, lowest, cell);
+    }
 }
 
 } // namespace

@@ -16,16 +16,23 @@ namespace {
 
 template <typename Rule>
 constexpr RowKernels kSetKernels = {searchSets<IndexRows<StreamedRows>, Rule>,
-                                    searchSets<IndexRows<DirectRows>, Rule>, nullptr,
-                                    searchSets<MaskRows, Rule>, searchSets<CountRows, Rule>};
+                                    searchSets<IndexRows<DirectRows>, Rule>,
+                                    nullptr,
+                                    nullptr,
+                                    searchSets<MaskRows, Rule>,
+                                    searchSets<CountRows, Rule>};
 
 template <typename Rule>
 constexpr RowKernels kNearestKernels = {searchSets<NearestRows<StreamedRows>, Rule>,
-                                        searchSets<NearestRows<DirectRows>, Rule>, nullptr, nullptr,
+                                        searchSets<NearestRows<DirectRows>, Rule>,
+                                        nullptr,
+                                        nullptr,
+                                        nullptr,
                                         searchSets<CountRows, Rule>};
 
 constexpr Kernels kKernelTable = {{searchTask<IndexRows<StreamedRows>>, searchTask<IndexRows<DirectRows>>,
-                                   searchTask<IndexRows<DirectRows, SmallerNumbers>>, searchTask<MaskRows>,
+                                   searchTask<IndexRows<DirectRows, SmallerNumbers>>,
+                                   searchTask<IndexRows<DirectRows>, true>, searchTask<MaskRows>,
                                    searchTask<CountRows>},
                                   {kSetKernels<QueryRadius>, kNearestKernels<QueryRadius>},
                                   {kSetKernels<LargerRadius>, kNearestKernels<LargerRadius>},

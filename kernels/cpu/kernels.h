@@ -56,8 +56,10 @@ struct RowKernels {
         index; // rows of numbers, past the caches; the last ones of a thread wait in RowSink::tail
     SearchTaskFunction visit; // rows of numbers, to be read at once
     SearchTaskFunction
-        smaller;             // the same, of numbers smaller than the query's; null where pairs may go one way
-    SearchTaskFunction mask; // rows of membership bits; null if rows are cut to the nearest
+        smaller; // the same, of numbers smaller than the query's; null where pairs may go one way
+    SearchTaskFunction
+        half; // rows as of `visit`, but each pair of a leaf once where RowSink::areHalf says so; null likewise
+    SearchTaskFunction mask;  // rows of membership bits; null if rows are cut to the nearest
     SearchTaskFunction count; // counts alone; of rows that are cut too, all neighbors
 };
 

@@ -207,14 +207,75 @@ VDB_NNS_INLINE EightVectors eightDifferences(const WideVoxelPosition& query, con
 #endif
 }
 
+#if defined(VDB_NNS_SIMD_AVX2) || defined(VDB_NNS_SIMD_AVX512)
+
+VDB_NNS_INLINE __m256i eightSlots(const FloatPosition* records, const std::uint32_t* n)
+{
+    return _mm256_castps_si256(eightFloats(&records->x, 4, n).w);
+}
+
+VDB_NNS_INLINE __m256i eightSlots(const DoublePosition* records, const std::uint32_t* n)
+{
+    __m256 half[2];
+    for (int h = 0; h < 2; ++h, n += 4) { // what eightVectors() loads too
+        const __m256d ab =
+            _mm256_unpackhi_pd(_mm256_loadu_pd(&records[n[0]].x), _mm256_loadu_pd(&records[n[1]].x));
+        const __m256d cd =
+            _mm256_unpackhi_pd(_mm256_loadu_pd(&records[n[2]].x), _mm256_loadu_pd(&records[n[3]].x));
+        half[h] = _mm256_castpd_ps(_mm256_permute2f128_pd(ab, cd, 0x31));
+    }
+    const __m256 low = _mm256_shuffle_ps(half[0], half[1], 0x88); // 0 1 4 5, 2 3 6 7
+    return _mm256_permute4x64_epi64(_mm256_castps_si256(low), 0xd8);
+}
+
+template <typename Record>
+VDB_NNS_INLINE void eightPlaces(const Record* records, const std::uint32_t* n, std::uint32_t pairs,
+                                const LeafPlaces& places, std::uint32_t* out)
+{
+    const __m256i lane = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+    const __m256i outside = _mm256_add_epi32(_mm256_set1_epi32(static_cast<int>(places.particles)), lane);
+    const __m256i place =
+        _mm256_sub_epi32(eightSlots(records, n), _mm256_set1_epi32(static_cast<int>(places.firstSlot)));
+    const __m256i isPair = _mm256_cmpgt_epi32(_mm256_set1_epi32(static_cast<int>(pairs)), lane);
+    _mm256_storeu_si256(reinterpret_cast<__m256i*>(out),
+                        _mm256_blendv_epi8(outside, _mm256_min_epu32(place, outside), isPair));
+}
+
+#else
+
+template <typename Record>
+VDB_NNS_INLINE void eightPlaces(const Record* records, const std::uint32_t* n, std::uint32_t pairs,
+                                const LeafPlaces& places, std::uint32_t* out)
+{
+    for (std::uint32_t k = 0; k < kPairPad; ++k) {
+        const std::uint32_t place = static_cast<std::uint32_t>(records[n[k]].slot) - places.firstSlot;
+        out[k] = k < pairs && place < places.particles ? place : places.particles + k;
+    }
+}
+
+#endif
+
+// Those records have no slot.
+inline void eightPlaces(const VoxelPosition9*, const std::uint32_t*, std::uint32_t, const LeafPlaces&,
+                        std::uint32_t*)
+{
+}
+inline void eightPlaces(const WideVoxelPosition*, const std::uint32_t*, std::uint32_t, const LeafPlaces&,
+                        std::uint32_t*)
+{
+}
+
 VDB_NNS_INLINE void storeEight(double* to, const EightDoubles& v)
 {
     for (int p = 0; p < kParts; ++p) SimdD::store(to + p * SimdD::kLanes, v.part[p]);
 }
 
-template <typename Record, PairMap::Kind kKind, bool kVectors>
+// What is made besides the squares.
+enum class Besides { kNothing, kVectors, kPlaces };
+
+template <typename Record, PairMap::Kind kKind, Besides kBesides>
 void makePairs(const PairGroups& groups, const Record* queries, const Record* records, const PairMap& map,
-               double* x, double* y, double* z, double* square)
+               const LeafPlaces& places, double* x, double* y, double* z, double* square)
 {
     using S = SimdD;
     for (std::size_t g = 0; g < groups.groups; ++g) {
@@ -236,40 +297,44 @@ void makePairs(const PairGroups& groups, const Record* queries, const Record* re
             const S::D wx = w.axis[0].part[p], wy = w.axis[1].part[p], wz = w.axis[2].part[p];
             squares.part[p] = S::add(S::add(S::mul(wx, wx), S::mul(wy, wy)), S::mul(wz, wz));
         }
-        if (kVectors) {
+        if (kBesides == Besides::kVectors) {
             storeEight(x + k, w.axis[0]);
             storeEight(y + k, w.axis[1]);
             storeEight(z + k, w.axis[2]);
         }
+        if (kBesides == Besides::kPlaces)
+            eightPlaces(records, groups.numbers + k, groups.pairs[g], places, places.out + k);
         storeEight(square + k, squares);
     }
 }
 
 template <typename Record, PairMap::Kind kKind>
 void makePairsOf(const PairGroups& groups, const Record* queries, const Record* records, const PairMap& map,
-                 double* x, double* y, double* z, double* square)
+                 const LeafPlaces& places, double* x, double* y, double* z, double* square)
 {
     if (x) {
-        makePairs<Record, kKind, true>(groups, queries, records, map, x, y, z, square);
+        makePairs<Record, kKind, Besides::kVectors>(groups, queries, records, map, places, x, y, z, square);
+    } else if (places.out) {
+        makePairs<Record, kKind, Besides::kPlaces>(groups, queries, records, map, places, x, y, z, square);
     } else {
-        makePairs<Record, kKind, false>(groups, queries, records, map, x, y, z, square);
+        makePairs<Record, kKind, Besides::kNothing>(groups, queries, records, map, places, x, y, z, square);
     }
 }
 
 template <typename Record>
 void pairs(const PairGroups& groups, const void* queries, const void* candidates, const PairMap& map,
-           double* x, double* y, double* z, double* square)
+           const LeafPlaces& places, double* x, double* y, double* z, double* square)
 {
     using Kind = PairMap::Kind;
     const Record* const from = static_cast<const Record*>(queries);
     const Record* const to = static_cast<const Record*>(candidates);
     switch (map.kind) {
     case Kind::kIdentity:
-        return makePairsOf<Record, Kind::kIdentity>(groups, from, to, map, x, y, z, square);
+        return makePairsOf<Record, Kind::kIdentity>(groups, from, to, map, places, x, y, z, square);
     case Kind::kDiagonal:
-        return makePairsOf<Record, Kind::kDiagonal>(groups, from, to, map, x, y, z, square);
+        return makePairsOf<Record, Kind::kDiagonal>(groups, from, to, map, places, x, y, z, square);
     case Kind::kGeneral:
-        return makePairsOf<Record, Kind::kGeneral>(groups, from, to, map, x, y, z, square);
+        return makePairsOf<Record, Kind::kGeneral>(groups, from, to, map, places, x, y, z, square);
     }
 }
 

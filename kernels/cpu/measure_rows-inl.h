@@ -19,6 +19,7 @@ constexpr MeasureKernels kMeasureKernels = {
     pcaSums,
     least,
     distanceSums,
+    addOncePairs,
     axes,
     stretches};
 

@@ -30,10 +30,12 @@ enum class PositionRecord : std::uint8_t {
 constexpr int kPositionRecords = 4;
 
 struct FloatPosition {
-    float x, y, z, zero;
+    float x, y, z;
+    std::uint32_t slot; // in the grid; 0 where nobody wants it, and behind the vectors that are values
 };
 struct DoublePosition {
-    double x, y, z, zero;
+    double x, y, z;
+    std::uint64_t slot; // likewise
 };
 // A voxel modulo 512 and the offset in it. The difference of two voxels is between -256 and 255. All three axes are subtracted at once:
 // below x and y there is a bit that the next axis may borrow.
@@ -76,10 +78,19 @@ struct PairGroups {
     const std::uint32_t* query;      // of each row: its number
 };
 
+// Where the candidates of pairs stand in the leaf of the queries, `particles` from `firstSlot` on: for each pair a number below that, or, for
+// those outside and for pads, one of the kGroup numbers behind them.
+struct LeafPlaces {
+    std::uint32_t firstSlot, particles;
+    std::uint32_t* out; // null: not wanted
+};
+
 // For each pair candidate less query, the voxel difference, exact, plus the difference of the offsets in double, then the map; and
-// the square of the distance, (x x + y y) + z z. Vectors are not written where `x` is null. Positions are by number.
+// the square of the distance, (x x + y y) + z z. Vectors are not written where `x` is null. Positions are by number. Places are those of
+// FloatPosition and DoublePosition, and without vectors.
 using PairsFunction = void (*)(const PairGroups& groups, const void* queries, const void* candidates,
-                               const PairMap& map, double* x, double* y, double* z, double* square);
+                               const PairMap& map, const LeafPlaces& places, double* x, double* y, double* z,
+                               double* square);
 
 // Vectors of the candidates, from FloatPosition or DoublePosition.
 using VectorsFunction = void (*)(const PairGroups& groups, const void* values, double* x, double* y,
@@ -137,6 +148,29 @@ using LeastFunction = void (*)(const PairGroups& groups, const double* values, d
 using DistanceSumsFunction = void (*)(const PairGroups& groups, double* distance, bool areSquares,
                                       const RowScale* scales, std::uint64_t* scratch, double* out);
 
+// Of a particle of a leaf whose pairs are found once each: sums of integers as above, at one scale for all, to each of which
+// kShiftBits has been added.
+struct alignas(32) ParticleSums {
+    std::uint64_t weight, distance;
+    double leastSquare; // of a distance
+    std::uint32_t pairs;
+};
+
+// What is added up.
+struct OncePairs {
+    PairWeight weight;
+    bool wantsWeights, wantsDistances;
+    double inverseRadius;
+    double weightScale, distanceScale; // below 2^50 a term
+};
+
+// Adds each pair to the particle of its row, `sums[firstPlace + row]`, and to its candidate, `sums[places[..]]`. `square`: of distances.
+using AddOncePairsFunction = void (*)(const OncePairs& once, const PairGroups& groups,
+                                      const std::uint32_t* places, std::uint32_t firstPlace,
+                                      const double* square, ParticleSums* sums);
+
+constexpr std::uint64_t kShiftBits = 0x4338000000000000u; // of 1.5 * 2^52
+
 // Principal axes of symmetric matrices, by four sweeps of cyclic Jacobi rotations. `matrices`: their xx, one after the other, their
 // yy, zz, xy, xz, yz. `out` likewise: the values, of which none is below 0, in descending order; then the rotation whose columns are the
 // vectors, row by row: the largest components of the first two are positive. `count`: a multiple of kAxesPad.
@@ -158,6 +192,7 @@ struct MeasureKernels {
     PcaSumsFunction pcaSums;
     LeastFunction least;
     DistanceSumsFunction distanceSums;
+    AddOncePairsFunction addOncePairs;
     AxesFunction axes;
     StretchesFunction stretches;
 };

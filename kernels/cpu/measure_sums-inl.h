@@ -58,7 +58,6 @@ VDB_NNS_INLINE SimdD::D maskOf(const PairGroups& groups, PairPlace at)
 
 // 1.5 * 2^52 + an integer below 2^51 has the integer as its lowest bits.
 constexpr double kShift = 6755399441055744.0;
-constexpr std::uint64_t kShiftBits = 0x4338000000000000u;
 
 inline double powerOfTwo(int exponent)
 {
@@ -358,6 +357,82 @@ inline void distanceSums(const PairGroups& groups, double* distance, bool areSqu
         distanceSumsOf<true>(groups, distance, rowScales, scratch, out);
     } else {
         distanceSumsOf<false>(groups, distance, rowScales, scratch, out);
+    }
+}
+
+// Particles are added to one number at a time: to load what was just stored takes longer in vectors.
+template <PairWeight kWeight, bool kWeights, bool kDistances>
+void addOncePairsOf(const OncePairs& once, const PairGroups& groups, const std::uint32_t* places,
+                    std::uint32_t firstPlace, const double* square, ParticleSums* sums)
+{
+    using S = SimdD;
+    const S::D inverse = S::set(once.inverseRadius), shift = S::set(kShift);
+    const S::D weightScale = S::set(once.weightScale), distanceScale = S::set(once.distanceScale);
+    const auto storeShifted = [&](std::uint64_t* to, S::D v, S::D scale) {
+        S::storeBits(to, S::addBits(S::zero(), S::add(S::mul(v, scale), shift)));
+    };
+    for (std::size_t g = 0; g < groups.groups; ++g) {
+        alignas(64) std::uint64_t weight[kGroup], distance[kGroup];
+        const double* const squares = square + g * kGroup;
+        S::D least = S::load(squares);
+        for (std::size_t lane = 0; lane < kGroup; lane += S::kLanes) {
+            const S::D mask = maskOf(groups, {g, lane}), s = S::load(squares + lane), d = S::sqrt(s);
+            const S::D q = S::min(S::mul(d, inverse), S::set(1));
+            if (kWeights) storeShifted(weight + lane, S::mul(weightOf<kWeight>(q), mask), weightScale);
+            if (!kDistances) continue;
+            storeShifted(distance + lane, S::mul(d, mask), distanceScale);
+            least = S::min(least, s); // pads repeat the last pair
+        }
+        std::uint64_t weights = 0, distances = 0;
+        for (std::size_t k = 0; k < kGroup; ++k) {
+            ParticleSums& other = sums[places[g * kGroup + k]];
+            ++other.pairs;
+            if (kWeights) {
+                weights += weight[k];
+                other.weight += weight[k];
+            }
+            if (kDistances) {
+                distances += distance[k];
+                other.distance += distance[k];
+                other.leastSquare = squares[k] < other.leastSquare ? squares[k] : other.leastSquare;
+            }
+        }
+        ParticleSums& own = sums[firstPlace + groups.row[g]];
+        if (kWeights) own.weight += weights - kGroup * kShiftBits;
+        if (!kDistances) continue;
+        own.distance += distances - kGroup * kShiftBits;
+        const double nearest = 0.0 - S::greatest(S::sub(S::set(0), least));
+        own.leastSquare = nearest < own.leastSquare ? nearest : own.leastSquare;
+    }
+}
+
+template <PairWeight kWeight>
+void addOncePairsWeighted(const OncePairs& once, const PairGroups& groups, const std::uint32_t* places,
+                          std::uint32_t firstPlace, const double* square, ParticleSums* sums)
+{
+    if (once.wantsDistances) {
+        addOncePairsOf<kWeight, true, true>(once, groups, places, firstPlace, square, sums);
+    } else {
+        addOncePairsOf<kWeight, true, false>(once, groups, places, firstPlace, square, sums);
+    }
+}
+
+inline void addOncePairs(const OncePairs& once, const PairGroups& groups, const std::uint32_t* places,
+                         std::uint32_t firstPlace, const double* square, ParticleSums* sums)
+{
+    if (!once.wantsWeights)
+        return addOncePairsOf<PairWeight::kTophat, false, true>(once, groups, places, firstPlace, square,
+                                                                sums);
+    switch (once.weight) {
+    case PairWeight::kCubic:
+        return addOncePairsWeighted<PairWeight::kCubic>(once, groups, places, firstPlace, square, sums);
+    case PairWeight::kWendland2:
+        return addOncePairsWeighted<PairWeight::kWendland2>(once, groups, places, firstPlace, square, sums);
+    case PairWeight::kPoly6:
+        return addOncePairsWeighted<PairWeight::kPoly6>(once, groups, places, firstPlace, square, sums);
+    case PairWeight::kTophat:
+    case PairWeight::kPca:
+        return addOncePairsWeighted<PairWeight::kTophat>(once, groups, places, firstPlace, square, sums);
     }
 }
 

@@ -9,11 +9,13 @@ namespace vdb_nns {
 namespace {
 
 // A frame is a set of candidates and the score of a query against them, a vector at a time. `base` and `stride` are those
-// of HaloScratch; kNumber is where its particle numbers stand.
+// of HaloScratch; kNumber is where its particle numbers stand. kIsHalf: a query is tested only against the candidates that stand before it.
 
 // The candidates that a cell keeps, about the centre of its queries' box: s = fl(w_c + K + a.p_c).
-struct KeptFrame {
+template <bool kIsHalfOf>
+struct CellFrame {
     static constexpr std::size_t kNumber = 8;
+    static constexpr bool kIsHalf = kIsHalfOf;
 
     struct Candidates {
         Simd::F x, y, z, w;
@@ -49,9 +51,13 @@ struct KeptFrame {
     std::uint32_t count;
 };
 
+using KeptFrame = CellFrame<false>;
+using HalfFrame = CellFrame<true>; // the queries stand last
+
 // A leaf and its halo, about the leaf's centre: s = fl(|v_c - v_q|^2 - far).
 struct HaloFrame {
     static constexpr std::size_t kNumber = 4;
+    static constexpr bool kIsHalf = false;
 
     struct Candidates {
         Simd::F x, y, z;

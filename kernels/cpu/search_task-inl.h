@@ -86,10 +86,17 @@ void searchCells(const SearchContext& context, const SearchTask& task, const Lea
     consumer.finish();
 }
 
-template <typename Consumer>
+// kHalf: if the task is a whole leaf, and not a sparse one, each pair of it stands in one row only, that of the query that is visited later;
+// then sink.areHalf is true.
+template <typename Consumer, bool kHalf = false>
 void searchTask(const SearchContext& context, const SearchTask& task, const ExactPredicate& exact,
                 HaloScratch& scratch, RowSink& sink, TaskStatistics& statistics)
 {
+    if constexpr (kHalf) {
+        const LeafRecord* const leaf = context.block.leaves + task.leaf;
+        if (task.cells || task.firstSlot != leaf[0].firstSlot || task.endSlot != leaf[1].firstSlot)
+            return searchTask<Consumer>(context, task, exact, scratch, sink, statistics);
+    }
     LeafCells leaves[kLeavesAround];
     const std::size_t particles = readLeaves(context.block, task.neighborhood, leaves);
     scratch.reserve(scratch, particles);
@@ -98,6 +105,7 @@ void searchTask(const SearchContext& context, const SearchTask& task, const Exac
     if constexpr (!Consumer::kByCandidate) {
         if (searchSparse<Consumer>(context, task, leaves, test, scratch, sink)) return;
     }
+    if constexpr (kHalf) sink.areHalf = true;
     fillHalo(context.block, leaves, scratch);
     Pace pace(context);
     pace.copied(particles);
@@ -105,8 +113,8 @@ void searchTask(const SearchContext& context, const SearchTask& task, const Exac
     if constexpr (Consumer::kByCandidate) consumer.reserve(rowWordsOf(context.block, task, scratch));
     forEachCell(context.block, task, scratch,
                 [&](const std::uint32_t* lowest, CellSearch& cell, std::uint32_t firstSlot) {
-                    gather<Consumer::kByCandidate>(context, scratch, lowest, cell);
-                    const KeptFrame frame{scratch.kept(), scratch.stride, cell.kept};
+                    gather<Consumer::kByCandidate, kHalf>(context, scratch, lowest, cell);
+                    const CellFrame<kHalf> frame{scratch.kept(), scratch.stride, cell.kept};
                     pace.run({cell.self, cell.queries, firstSlot, cell.candidates}, cell.kept,
                              [&](const Queries& part) { searchRows(consumer, frame, part, test); });
                 });

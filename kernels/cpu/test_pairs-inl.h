@@ -46,9 +46,13 @@ __attribute__((always_inline)) inline bool testPair(const FilterBounds& bounds, 
     const char* const selfVector = p + std::size_t(self / Simd::kLanes) * kVectorBytes;
     while (p < selfVector) step(0, 0);
     const Simd::Mask selfA = Simd::Mask(1) << self % Simd::kLanes, selfB = selfA << 1 & kAllLanes;
-    step(selfA, selfB);
-    if (!selfB) step(0, 1); // the second query begins the next vector
-    while (p < end) step(0, 0);
+    if constexpr (Frame::kIsHalf) {
+        step(kAllLanes & ~(selfA - 1), selfB ? kAllLanes & ~(selfB - 1) : 0);
+    } else {
+        step(selfA, selfB);
+        if (!selfB) step(0, 1); // the second query begins the next vector
+        while (p < end) step(0, 0);
+    }
     return Simd::lessEqual(least, Simd::set(bounds.bandTop)) != 0;
 }
 
@@ -71,8 +75,13 @@ __attribute__((always_inline)) inline bool testQuery(const FilterBounds& bounds,
         p += kVectorBytes;
     };
     while (p < selfVector) step(0);
-    step(Simd::Mask(1) << self % Simd::kLanes);
-    while (p < end) step(0);
+    const Simd::Mask own = Simd::Mask(1) << self % Simd::kLanes;
+    if constexpr (Frame::kIsHalf) {
+        step(kAllLanes & ~(own - 1));
+    } else {
+        step(own);
+        while (p < end) step(0);
+    }
     return Simd::lessEqual(least, Simd::set(bounds.bandTop)) != 0;
 }
 
@@ -86,11 +95,15 @@ __attribute__((noinline)) Row testBand(const FilterBounds& bounds, Frame frame, 
     const char* const own = frame.base + std::size_t(self) * sizeof(float);
     const typename Frame::Query query(bounds, own, frame.stride);
     const std::uint32_t number = *integers(own + Frame::kNumber * frame.stride);
-    for (std::size_t j = 0; j < frame.count; j += Simd::kLanes) {
+    const std::size_t end = Frame::kIsHalf ? self : frame.count;
+    for (std::size_t j = 0; j < end; j += Simd::kLanes) {
         const char* const p = frame.base + j * sizeof(float);
         const Simd::F score = query.score(typename Frame::Candidates(p, frame.stride));
         Simd::Mask hits = Simd::movesign(score);
-        if (j == self - self % Simd::kLanes) hits &= ~(Simd::Mask(1) << self % Simd::kLanes);
+        if (j == self - self % Simd::kLanes) {
+            const Simd::Mask itself = Simd::Mask(1) << self % Simd::kLanes;
+            hits &= Frame::kIsHalf ? itself - 1 : ~itself;
+        }
         Simd::Mask band = hits & Simd::lessEqual(Simd::bits(score), Simd::set(bounds.bandTop));
         for (; band; band &= band - 1) {
             const unsigned lane = static_cast<unsigned>(__builtin_ctz(band));

@@ -71,11 +71,23 @@ void checkClusters(const SearchSets& sets, const SearchOptions& search)
 
 // --------------------------------------------------------------------------------------------------- passes
 
+// What one thread of a pass over a search has.
+struct ThreadPass {
+    RowBatch batch;
+    LeafSums leaf;
+};
+
 class PassCallback final : public RowCallback {
 public:
-    PassCallback(const SearchRun& run, RowBatch& batch, bool wantsRows, ClusterPairs* clusters,
-                 std::uint32_t* rowCount)
-        : mRun(run), mBatch(batch), mWantsRows(wantsRows), mClusters(clusters), mRowCount(rowCount), mMode()
+    PassCallback(const SearchRun& run, const SearchTask& task, ThreadPass& pass, bool wantsRows,
+                 ClusterPairs* clusters, std::uint32_t* rowCount)
+        : mRun(run),
+          mTask(task),
+          mPass(pass),
+          mWantsRows(wantsRows),
+          mClusters(clusters),
+          mRowCount(rowCount),
+          mMode()
     {
     }
 
@@ -83,17 +95,35 @@ public:
     {
         const std::uint32_t* const queries = &mRun.queries.number[rows.firstSlot];
         std::copy_n(rows.counts, rows.rows, mRowCount + rows.firstSlot);
-        if (mWantsRows) mBatch.take(queries, rows);
+        if (rows.areHalf) {
+            takeOnce(queries, rows);
+        } else if (mWantsRows) {
+            mPass.batch.take(queries, rows);
+        }
         if (!mClusters) return;
         rows.forEach([&](std::uint32_t slot, const std::uint32_t* neighbors, std::uint32_t count) {
             mClusters->add(mRun.queries.number[slot], neighbors, count);
         });
     }
 
+    bool finish() override
+    {
+        if (!mAreHalf) return true;
+        return mPass.leaf.finish(&mRun.queries.number[mTask.firstSlot], mRowCount + mTask.firstSlot);
+    }
+
 private:
+    void takeOnce(const std::uint32_t* queries, const VisitedRows& rows)
+    {
+        if (!mAreHalf) mPass.leaf.begin(mTask.firstSlot, mTask.endSlot - mTask.firstSlot);
+        mAreHalf = true;
+        mPass.batch.takeOnce(queries, rows, mPass.leaf);
+    }
+
     const SearchRun& mRun;
-    RowBatch& mBatch;
-    bool mWantsRows;
+    const SearchTask& mTask;
+    ThreadPass& mPass;
+    bool mWantsRows, mAreHalf = false;
     ClusterPairs* mClusters;
     std::uint32_t* mRowCount;
     const IeeeMode mMode; // of the whole task
@@ -208,7 +238,7 @@ private:
             mSets.data(), kernelsFor(mSearch.simd).measure, positions, mOptions, *mTargets, averaged, radius};
         ClusterPairs* const pairs = clusters ? &*clusters : nullptr;
         const NeighborLists counts =
-            mLists ? passOver(*mLists, measures, pairs) : passSearching(measures, pairs);
+            mLists ? passOver(*mLists, measures, pairs) : passSearching(measures, positions, pairs);
         if (clusters) {
             const NeighborListsData& lists = counts.data();
             clusters->finish(*mTargets, mSets.rowCount(), mCancel,
@@ -250,29 +280,39 @@ private:
         return lists;
     }
 
-    NeighborLists passSearching(const RowMeasures& measures, ClusterPairs* clusters)
+    NeighborLists passSearching(const RowMeasures& measures, PairPositions& positions, ClusterPairs* clusters)
     {
         const SearchRuns runs(mSets, mSearch);
         const std::shared_ptr<NeighborListsData> result = mState.beginLists(mSets, Encoding::kNone, mSearch);
         mState.beginStatistics(mSearch);
         ChunkPool pool(std::move(result->chunks));
         mState.allowRows(runs, mSearch, 0, *result, pool);
-        tbb::enumerable_thread_specific<RowBatch> batches([&] { return RowBatch(measures); });
+        tbb::enumerable_thread_specific<ThreadPass> passes([&] {
+            return ThreadPass{RowBatch(measures), LeafSums(measures)};
+        });
         runs.forEach([&](const SearchRun& run) {
-            const bool isHalfEnough = !mTargets->wantsRows() && run.kernels.smaller;
-            const RowKind kind = isHalfEnough ? RowKind::kSmaller : RowKind::kVisit;
-            visitTasks(mState, run, kind, [&](const SearchRun& part, ThreadState& state) {
-                if (mTargets->wantsRows()) {
-                    state.halo.records = static_cast<const char*>(measures.positions.candidates());
-                    state.halo.recordBytes = measures.positions.recordBytes();
-                }
-                return PassCallback(part, batches.local(), mTargets->wantsRows(), clusters,
-                                    result->rowCount.data() + part.firstRow);
-            });
+            visitTasks(mState, run, kindOfRows(run, measures, positions),
+                       [&](const SearchRun& part, const SearchTask& task, ThreadState& state) {
+                           if (mTargets->wantsRows()) {
+                               state.halo.records = static_cast<const char*>(positions.candidates());
+                               state.halo.recordBytes = positions.recordBytes();
+                           }
+                           return PassCallback(part, task, passes.local(), mTargets->wantsRows(), clusters,
+                                               result->rowCount.data() + part.firstRow);
+                       });
         });
         mState.finishLists(runs, pool, *result);
         mState.lists = result;
         return NeighborLists(result);
+    }
+
+    // Where it is enough to see a pair once, or one of a leaf once; then particles are told their slots.
+    RowKind kindOfRows(const SearchRun& run, const RowMeasures& measures, PairPositions& positions) const
+    {
+        if (!mTargets->wantsRows()) return run.kernels.smaller ? RowKind::kSmaller : RowKind::kVisit;
+        if (!run.kernels.half || !LeafSums::suffice(measures)) return RowKind::kVisit;
+        positions.setSlots(run.queries.number, run.queries.particleCount(), mCancel);
+        return RowKind::kHalf;
     }
 
     // By attribute of the options.

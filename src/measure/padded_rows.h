@@ -31,7 +31,7 @@ public:
     {
         if (!mQueries.empty())
             f(mQueries.data(), VisitedRows{0, static_cast<std::uint32_t>(mQueries.size()), mNumbers.data(),
-                                           mLengths.data(), mLengths.data()});
+                                           mLengths.data(), mLengths.data(), false});
         mQueries.clear();
         mLengths.clear();
         mNumbers.clear();

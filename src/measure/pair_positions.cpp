@@ -1,5 +1,6 @@
 #include "measure/pair_positions.h"
 
+#include "measure/chunks.h"
 #include "points/pair_geometry.h"
 #include "points/particle_source.h"
 #include "util/ieee_mode.h"
@@ -213,6 +214,28 @@ void PairPositions::read(const ParticleView& queries, const ParticleView& candid
         const double offsets = 2 * copy<VoxelCopy>(PositionRecord::kVoxels, false, cancel, memory).largest;
         if (!(voxelsApart(*mQueries, radius) + offsets < kMostVoxels))
             copy<WideVoxelCopy>(PositionRecord::kWideVoxels, false, cancel, memory);
+    }
+}
+
+bool PairPositions::canHaveSlots() const
+{
+    return mQueries == mCandidates &&
+           (mRecord == PositionRecord::kFloats || mRecord == PositionRecord::kDoubles);
+}
+
+void PairPositions::setSlots(const PageArray<std::uint32_t>& number, std::size_t slots,
+                             const CancelCheck& cancel)
+{
+    const auto write = [&](auto* records) {
+        forEachChunk(slots, cancel, [&](std::size_t begin, std::size_t end) {
+            for (std::size_t slot = begin; slot < end; ++slot)
+                records[number[slot]].slot = static_cast<std::uint32_t>(slot);
+        });
+    };
+    if (mRecord == PositionRecord::kFloats) {
+        write(reinterpret_cast<FloatPosition*>(mCandidateData));
+    } else {
+        write(reinterpret_cast<DoublePosition*>(mCandidateData));
     }
 }
 

@@ -28,6 +28,11 @@ public:
     const void* candidates() const { return mCandidateData; }
     std::size_t recordBytes() const;
 
+    // Whether there is room for the slots of the particles, of which there is one set.
+    bool canHaveSlots() const;
+    // Notes them; `number`: of the particle in each.
+    void setSlots(const PageArray<std::uint32_t>& number, std::size_t slots, const CancelCheck& cancel);
+
     // Whether differences are of the stored coordinates. Of two sets whose coordinates are not alike they are of rounded positions, and
     // neighbors may be farther apart than the radius by what rounding does.
     bool areStored() const { return mAreStored; }
@@ -51,7 +56,7 @@ private:
     PositionRecord mRecord = PositionRecord::kFloats;
     PairMap mMap{};
     const char* mQueryData = nullptr;
-    const char* mCandidateData = nullptr;
+    char* mCandidateData = nullptr;
 };
 
 } // namespace vdb_nns

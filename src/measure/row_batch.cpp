@@ -1,6 +1,7 @@
 #include "measure/row_batch.h"
 
 #include "exact/exact_test.h"
+#include "measure/row_rules.h"
 
 #include <algorithm>
 #include <cmath>
@@ -11,52 +12,10 @@ namespace vdb_nns {
 namespace {
 
 constexpr std::size_t kBatchGroups = 64; // whose columns fit the first-level cache
-// Sums at a scale for the greatest terms that there can be have errors of up to 2^-50 of those a term. They are good enough where the
-// mean term is this share of the greatest: then 2^-46 of the largest term of the row is lost a term; of moments, which sum up three
-// products, 2^-44. Other sums are made again, at a scale of their own.
-constexpr double kLeastMean = 1.0 / 16, kLeastMoment = kLeastMean / 4;
-constexpr std::uint32_t kMostAtOnce = 4088; // pairs: with more the integers would have fewer bits
-constexpr double kPi = 3.14159265358979323846;
 
 std::size_t groupsOf(std::size_t pairs)
 {
     return (pairs + kGroup - 1) / kGroup;
-}
-
-PairWeight weightOf(SmoothingKernel kernel)
-{
-    switch (kernel) {
-    case SmoothingKernel::kCubic:
-        return PairWeight::kCubic;
-    case SmoothingKernel::kWendland2:
-        return PairWeight::kWendland2;
-    case SmoothingKernel::kPoly6:
-        return PairWeight::kPoly6;
-    case SmoothingKernel::kTophat:
-        break;
-    }
-    return PairWeight::kTophat;
-}
-
-// W(0) of a support of 1.
-double weightAtZero(SmoothingKernel kernel)
-{
-    switch (kernel) {
-    case SmoothingKernel::kCubic:
-        return 8 / kPi;
-    case SmoothingKernel::kWendland2:
-        return 21 / (2 * kPi);
-    case SmoothingKernel::kPoly6:
-        return 315 / (64 * kPi);
-    case SmoothingKernel::kTophat:
-        break;
-    }
-    return 3 / (4 * kPi);
-}
-
-double cube(double x)
-{
-    return x * x * x;
 }
 
 // Component c of the value of a particle.
@@ -86,7 +45,8 @@ RowBatch::RowBatch(const RowMeasures& measures)
       mWantsVectors(mTargets.normal || mTargets.eigenvalues || mTargets.stretch),
       mHasRadii(!measures.sets.radius.isOne()),
       mIsByPair(mHasRadii && measures.sets.radius.mode != RadiusMode::kGather),
-      mInverseRadius(1 / measures.radius)
+      mInverseRadius(1 / measures.radius),
+      mFirstGroup(kBatchGroups + 1)
 {
     reserve(2 * kBatchGroups);
 }
@@ -98,46 +58,64 @@ void RowBatch::reserve(std::size_t groups)
     mPairs.resizeDiscarding(mCapacity * kGroup * kColumns);
     mGroupRow.resizeDiscarding(mCapacity);
     mGroupPairs.resizeDiscarding(mCapacity);
+    mPlaces.resizeDiscarding(mCapacity * kGroup);
 }
 
-void RowBatch::take(const std::uint32_t* queries, const VisitedRows& rows)
+template <typename F>
+void RowBatch::forEachBatch(const std::uint32_t* queries, const VisitedRows& rows, F&& f)
 {
     const std::uint32_t* numbers = rows.numbers;
     for (std::size_t r = 0; r < rows.rows; r += mGroups.rows) {
         mCounts = rows.lengths + r;
         mGroups.rows = listGroups(mCounts, rows.rows - r);
-        mGroups.groups = mFirstGroup.back();
+        mGroups.groups = mFirstGroup[mGroups.rows];
         mGroups.numbers = numbers;
         mGroups.row = mGroupRow.data();
         mGroups.pairs = mGroupPairs.data();
         mGroups.firstGroup = mFirstGroup.data();
         mGroups.query = queries + r;
+        f(r);
+        numbers += mGroups.groups * kGroup;
+    }
+}
+
+void RowBatch::take(const std::uint32_t* queries, const VisitedRows& rows)
+{
+    forEachBatch(queries, rows, [&](std::size_t) {
         setOwnWeights();
         if (mHasRadii) setRadii();
         writeValues();
-        numbers += mGroups.groups * kGroup;
-    }
+    });
+}
+
+void RowBatch::takeOnce(const std::uint32_t* queries, const VisitedRows& rows, LeafSums& leaf)
+{
+    forEachBatch(queries, rows, [&](std::size_t r) {
+        makePairs(leaf.places(mPlaces.data()));
+        leaf.add(mGroups, mPlaces.data(), rows.firstSlot + static_cast<std::uint32_t>(r), column(kDistance));
+    });
 }
 
 std::size_t RowBatch::listGroups(const std::uint32_t* counts, std::size_t rows)
 {
     constexpr std::size_t kStep = 8; // groups that are written at once, for rows have a few
-    mFirstGroup.clear();
-    std::size_t groups = 0, r = 0;
-    for (; r < std::min(rows, kBatchGroups) && groups < kBatchGroups; ++r) {
-        const std::size_t end = groups + groupsOf(counts[r]);
-        if (r > 0 && end > kBatchGroups) break;
-        reserve(end + kStep);
-        mFirstGroup.push_back(static_cast<std::uint32_t>(groups));
-        for (std::size_t g = groups; g < end; g += kStep) {
-            std::fill_n(mGroupRow.data() + g, kStep, static_cast<std::uint32_t>(r));
-            std::fill_n(mGroupPairs.data() + g, kStep, static_cast<std::uint32_t>(kGroup));
-        }
-        if (counts[r] % kGroup != 0) mGroupPairs[end - 1] = counts[r] % kGroup;
+    const std::size_t most = std::min(rows, kBatchGroups);
+    std::size_t count = 0, groups = 0, end = groupsOf(counts[0]);
+    do {
+        mFirstGroup[count++] = static_cast<std::uint32_t>(groups);
         groups = end;
+        end += count < most ? groupsOf(counts[count]) : kBatchGroups;
+    } while (end <= kBatchGroups && count < most);
+    mFirstGroup[count] = static_cast<std::uint32_t>(groups);
+    reserve(groups + kStep);
+    std::fill_n(mGroupPairs.data(), groups, static_cast<std::uint32_t>(kGroup));
+    for (std::size_t r = 0; r < count; ++r) {
+        const std::size_t last = mFirstGroup[r + 1];
+        for (std::size_t g = mFirstGroup[r]; g < last; g += kStep)
+            std::fill_n(mGroupRow.data() + g, kStep, static_cast<std::uint32_t>(r));
+        if (counts[r] % kGroup != 0) mGroupPairs[last - 1] = counts[r] % kGroup;
     }
-    mFirstGroup.push_back(static_cast<std::uint32_t>(groups));
-    return r;
+    return count;
 }
 
 void RowBatch::setOwnWeights()
@@ -182,11 +160,11 @@ void RowBatch::setRadii()
     }
 }
 
-void RowBatch::makePairs()
+void RowBatch::makePairs(const LeafPlaces& places)
 {
     const PairPositions& positions = mMeasures.positions;
     mMeasures.kernels.pairs[static_cast<std::size_t>(positions.record())](
-        mGroups, positions.queries(), positions.candidates(), positions.map(),
+        mGroups, positions.queries(), positions.candidates(), positions.map(), places,
         mWantsVectors ? column(kX) : nullptr, column(kY), column(kZ), column(kDistance));
     if (positions.hasUnknown()) lookUnknownUp();
 }
@@ -283,8 +261,7 @@ void RowBatch::writeMeanDistances(bool areSquares)
                                    mSums.data());
     const bool areBounded = !mIsByPair && mMeasures.positions.areStored();
     const auto isPrecise = [&](std::size_t r) {
-        return areBounded && mCounts[r] <= kMostAtOnce &&
-               mSums[r] >= kLeastMean * mReferences[r] * mCounts[r];
+        return areBounded && isMeanPrecise(mSums[r], mReferences[r], mCounts[r]);
     };
     bool areAllPrecise = true;
     for (std::size_t r = 0; r < mGroups.rows; ++r) areAllPrecise = areAllPrecise && isPrecise(r);
@@ -304,14 +281,13 @@ void RowBatch::writeDensities()
         mMeasures.kernels.scalars[1](mGroups, options.masses.data(), column(kFactorX));
         sum(kWeight, 1, kFactorX, false, mSums);
     }
-    const double atZero = weightAtZero(options.kernel);
     for (std::size_t r = 0; r < mGroups.rows; ++r) {
         const std::uint32_t query = mGroups.query[r];
         const double ownWeight = mOwnWeights[r];
         const double own = ownWeight > 0 && hasMasses ? ownWeight * options.masses[query] : 0;
         const double total = hasMasses ? mSums[r] + own : options.mass * (mWeightSums[r] + ownWeight);
         if (!(total > 0)) continue; // W(0) of a tiny radius is infinite
-        mTargets.density[query] = static_cast<float>(total * (atZero / cube(mReferences[r])));
+        mTargets.density[query] = static_cast<float>(total * weightAtZero(options.kernel, mReferences[r]));
     }
 }
 
@@ -479,7 +455,7 @@ void RowBatch::writeAllPca()
 
 void RowBatch::writeValues()
 {
-    makePairs();
+    makePairs({});
     if (mWantsWeights) weigh(weightOf(mMeasures.options.kernel), true, kWeight, mWeightSums);
     if (mTargets.density) writeDensities();
     for (const MeasureTargets::Average& average : mTargets.averages) writeAverage(average);

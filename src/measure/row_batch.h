@@ -2,13 +2,10 @@
 // results; not who is a neighbor.
 #pragma once
 
-#include "cpu/kernels.h"
-#include "grid/search_sets_data.h"
-#include "measure/pair_positions.h"
-#include "measure/results.h"
+#include "measure/leaf_sums.h"
+#include "measure/row_measures.h"
 #include "search/thread_state.h"
 #include "util/memory.h"
-#include "vdb_nns/measure.h"
 
 #include <cstddef>
 #include <cstdint>
@@ -16,31 +13,15 @@
 
 namespace vdb_nns {
 
-// An attribute of the candidates, by number: floats or doubles, FloatPosition or DoublePosition if it is a vector.
-struct AveragedAttribute {
-    bool isDouble = false, isVector = false;
-    const void* values = nullptr;  // finite: 0 where the attribute is not
-    const double* valid = nullptr; // 1 or 0; null where all are
-    double unit = 1;               // that the values have, a power of two
-};
-
-// What all threads share in a pass.
-struct RowMeasures {
-    const SearchSetsData& sets;
-    const MeasureKernels& kernels;
-    const PairPositions& positions;
-    const MeasureOptions& options;
-    const MeasureTargets& targets;
-    const std::vector<AveragedAttribute>& averaged; // as MeasureOptions::attributes; those that are averaged
-    double radius; // of all pairs; where particles have their own, the largest
-};
-
 class RowBatch {
 public:
     explicit RowBatch(const RowMeasures& measures);
 
     // Writes the values of queries, given by number, whose rows these are.
     void take(const std::uint32_t* queries, const VisitedRows& rows);
+
+    // Adds up the pairs of rows that are half of those of a leaf.
+    void takeOnce(const std::uint32_t* queries, const VisitedRows& rows, LeafSums& leaf);
 
 private:
     // Numbers of doubles a pair.
@@ -75,7 +56,10 @@ private:
     void setOwnWeights();
     void setRadii();
     void writeValues();
-    void makePairs();
+    // f(first row) for the rows that each batch takes.
+    template <typename F>
+    void forEachBatch(const std::uint32_t* queries, const VisitedRows& rows, F&& f);
+    void makePairs(const LeafPlaces& places);
     void lookUnknownUp();
     PairRadii radii();
     std::uint64_t* scratch(std::size_t sums);
@@ -104,6 +88,7 @@ private:
     PairGroups mGroups{};
     PageArray<double> mPairs;
     PageArray<std::uint32_t> mGroupRow, mGroupPairs; // PairGroups::row, pairs
+    PageArray<std::uint32_t> mPlaces;                // of pairs, of LeafPlaces
     std::vector<std::uint32_t> mFirstGroup;
     PageArray<std::uint64_t> mScratch;
     // By row.

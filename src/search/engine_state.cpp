@@ -177,6 +177,7 @@ SearchTaskFunction kernelOf(const RowKernels& kernels, RowKind kind)
     return kind == RowKind::kIndex     ? kernels.index
            : kind == RowKind::kVisit   ? kernels.visit
            : kind == RowKind::kSmaller ? kernels.smaller
+           : kind == RowKind::kHalf    ? kernels.half
            : kind == RowKind::kMask    ? kernels.mask
                                        : kernels.count;
 }

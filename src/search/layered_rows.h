@@ -23,6 +23,7 @@ enum class RowKind {
     kIndex,   // rows of numbers, held for long
     kVisit,   // rows of numbers, read at once
     kSmaller, // the same, of numbers smaller than the query's
+    kHalf,    // the same as kVisit, or each pair of a leaf once: RowSink::areHalf
     kMask,
     kCount
 };

@@ -213,15 +213,16 @@ void visitAll(EngineState& engine, const SearchSets& sets, const SearchOptions& 
 
 void SearchEngine::visit(const SearchSets& sets, const NeighborVisitor& visitor, const SearchOptions& options)
 {
-    visitAll(*mImpl, sets, options, [&](const SearchRun& run, ThreadState& state) {
+    visitAll(*mImpl, sets, options, [&](const SearchRun& run, const SearchTask&, ThreadState& state) {
         return DistanceCallback(run, visitor, state.distances);
     });
 }
 
 void SearchEngine::visitRows(const SearchSets& sets, const RowVisitor& visitor, const SearchOptions& options)
 {
-    visitAll(*mImpl, sets, options,
-             [&](const SearchRun& run, ThreadState&) { return NumberCallback(run.queries, visitor); });
+    visitAll(*mImpl, sets, options, [&](const SearchRun& run, const SearchTask&, ThreadState&) {
+        return NumberCallback(run.queries, visitor);
+    });
 }
 
 std::uint64_t countCandidateTests(const SearchSets& sets)

@@ -166,6 +166,7 @@ void ThreadState::beginCallbacks(RowCallback& callback, const SearchTask& task, 
     visited.rowBegin = mVisitedBegin.data();
     visited.rowCount = visited.rowLength = mVisitedCount.data();
     visited.number = number;
+    visited.areHalf = false;
     if (kind != RowKind::kSmaller) return;
     mVisitedLength.assign(queries, 0);
     visited.rowLength = mVisitedLength.data();
@@ -190,8 +191,8 @@ void ThreadState::flushRows()
     if (mVisited == visited.nextSlot) return;
     const std::uint32_t first = std::exchange(mVisited, visited.nextSlot);
     const std::uint32_t begin = first - visited.slotBase;
-    mCallback->take(
-        {first, mVisited - first, visited.out, visited.rowLength + begin, visited.rowCount + begin});
+    mCallback->take({first, mVisited - first, visited.out, visited.rowLength + begin,
+                     visited.rowCount + begin, visited.areHalf});
 }
 
 } // namespace vdb_nns

@@ -47,7 +47,8 @@ struct VisitedRows {
     const std::uint32_t* numbers;
     const std::uint32_t* lengths; // of each row
     const std::uint32_t*
-        counts; // of neighbors; others than the lengths where rows have the smaller numbers alone
+        counts;   // of neighbors; others than the lengths where rows have the smaller numbers alone
+    bool areHalf; // RowSink::areHalf
 
     // f(slot, numbers, length)
     template <typename F>
@@ -66,6 +67,8 @@ class RowCallback {
 public:
     virtual ~RowCallback() = default;
     virtual void take(const VisitedRows& rows) = 0;
+    // The task's rows are all taken. False: they are wanted again, as those of RowKind::kVisit.
+    virtual bool finish() { return true; }
 };
 
 struct ThreadState {
@@ -86,7 +89,7 @@ struct ThreadState {
     static void beginPlainRows(RowSink& sink);
     static void endPlainRows(RowSink& sink);
 
-    // Rows of the coming task, of kVisit or kSmaller, go to `callback` instead of into lists. Queries outside of the task's cells
+    // Rows of the coming task, of kVisit, kSmaller or kHalf, go to `callback` instead of into lists. Queries outside of the task's cells
     // have empty rows. `number`: of the queries, by slot.
     void beginCallbacks(RowCallback& callback, const SearchTask& task, RowKind kind,
                         const std::uint32_t* number);

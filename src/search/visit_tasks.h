@@ -8,19 +8,23 @@
 
 namespace vdb_nns {
 
-// Runs all tasks of a part; makeCallback(run, state) is what takes the rows of a task, a RowCallback. `kind`: kVisit, or kSmaller
-// where the run has a kernel for it.
+// Runs all tasks of a part; makeCallback(run, task, state) is what takes the rows of a task, a RowCallback. `kind`: kVisit, or kSmaller
+// or kHalf where the run has a kernel for it.
 template <typename MakeCallback>
 void visitTasks(EngineState& engine, const SearchRun& run, RowKind kind, MakeCallback&& makeCallback)
 {
     forEachTask(run.queries, run.candidates, run.pieces, engine.states, run.cancel,
                 [&](ThreadState& state, const SearchTask& task) {
-                    auto&& callback = makeCallback(run, state);
-                    state.beginCallbacks(callback, task, kind, run.queries.number.data());
+                    auto&& callback = makeCallback(run, task, state);
+                    const auto makeRows = [&](RowKind ofKind) {
+                        state.beginCallbacks(callback, task, ofKind, run.queries.number.data());
+                        run.makeRows(ofKind, task, state, state.visited);
+                        state.flushRows();
+                    };
                     // Once a task, for the kernel calls the visitor too.
                     isolated([&] {
-                        run.makeRows(kind, task, state, state.visited);
-                        state.flushRows();
+                        makeRows(kind);
+                        if (!callback.finish()) makeRows(RowKind::kVisit);
                     });
                 });
 }
