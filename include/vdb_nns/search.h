@@ -36,7 +36,7 @@ using NeighborVisitor = std::function<void(std::uint32_t query, Span<const std::
 /// The same without distances, which cost more to compute than neighbors cost to find.
 using RowVisitor = NeighborLists::RowVisitor;
 
-/// What the last run did: for reports.
+/// What the last run did: for reports. Measures see some pairs in one order only; which ones depends on threads.
 struct SearchStatistics {
     double gridSeconds = 0, searchSeconds = 0;
     std::uint64_t doublePairs = 0;       ///< ordered pairs that the float32 filter left to the double test

@@ -148,8 +148,8 @@ using LeastFunction = void (*)(const PairGroups& groups, const double* values, d
 using DistanceSumsFunction = void (*)(const PairGroups& groups, double* distance, bool areSquares,
                                       const RowScale* scales, std::uint64_t* scratch, double* out);
 
-// Of a particle of a leaf whose pairs are found once each: sums of integers as above, at one scale for all, to each of which
-// kShiftBits has been added.
+// Of a particle of a leaf whose pairs are found once each: sums of integers as above, at one scale for all. `pairs` are those of
+// rows of other particles; to each of their terms kShiftBits has been added.
 struct alignas(32) ParticleSums {
     std::uint64_t weight, distance;
     double leastSquare; // of a distance

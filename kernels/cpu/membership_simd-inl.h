@@ -11,7 +11,7 @@ namespace {
 // A frame is a set of candidates and the score of a query against them, a vector at a time. `base` and `stride` are those
 // of HaloScratch; kNumber is where its particle numbers stand. kIsHalf: a query is tested only against the candidates that stand before it.
 
-// The candidates that a cell keeps, about the centre of its queries' box: s = fl(w_c + K + a.p_c).
+// The candidates that a cell keeps, in a half frame the queries last, about the centre of its queries' box: s = fl(w_c + K + a.p_c).
 template <bool kIsHalfOf>
 struct CellFrame {
     static constexpr std::size_t kNumber = 8;
@@ -50,9 +50,6 @@ struct CellFrame {
     std::size_t stride;
     std::uint32_t count;
 };
-
-using KeptFrame = CellFrame<false>;
-using HalfFrame = CellFrame<true>; // the queries stand last
 
 // A leaf and its halo, about the leaf's centre: s = fl(|v_c - v_q|^2 - far).
 struct HaloFrame {

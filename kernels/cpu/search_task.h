@@ -72,7 +72,7 @@ struct RowSink {
     std::uint32_t* rowLength;    // numbers that a row has, where those are fewer than it counts
     const std::uint32_t* number; // of queries by slot, where rows depend on it
     std::uint32_t nextSlot;      // all rows of the task before it are done; index rows only
-    bool areHalf;                // Kernels::half sets it
+    bool areHalf;                // RowKernels::half sets it
     bool isPadded; // rows to be read at once: each is filled up to a multiple of kPad, with its last number
     const std::uint32_t* taskBegin; // mask rows only: set by the kernel
     std::uint32_t tail[kLine];      // streamed rows only: entries that belong at `out`

@@ -45,11 +45,12 @@ LeafSums::LeafSums(const RowMeasures& measures)
 
 bool LeafSums::suffice(const RowMeasures& measures)
 {
-    const MeasureTargets& targets = measures.targets;
+    MeasureTargets others = measures.targets;
+    others.density = others.meanDistance = others.nearestDistance = nullptr;
     const SearchSetsData& sets = measures.sets;
-    return !targets.normal && !targets.eigenvalues && !targets.stretch && targets.averages.empty() &&
-           measures.options.masses.empty() && sets.areSameParticles() && sets.candidateChosen.empty() &&
-           sets.queryChosen.empty() && sets.radius.isOne() && measures.positions.canHaveSlots();
+    return !others.wantsRows() && measures.options.masses.empty() && sets.areSameParticles() &&
+           sets.candidateChosen.empty() && sets.queryChosen.empty() && sets.radius.isOne() &&
+           measures.positions.canHaveSlots();
 }
 
 void LeafSums::begin(std::uint32_t firstSlot, std::uint32_t particles)

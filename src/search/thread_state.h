@@ -48,7 +48,7 @@ struct VisitedRows {
     const std::uint32_t* lengths; // of each row
     const std::uint32_t*
         counts;   // of neighbors; others than the lengths where rows have the smaller numbers alone
-    bool areHalf; // RowSink::areHalf
+    bool areHalf; // RowSink::areHalf; counts then are of those in the row
 
     // f(slot, numbers, length)
     template <typename F>

@@ -23,8 +23,13 @@ void visitTasks(EngineState& engine, const SearchRun& run, RowKind kind, MakeCal
                     };
                     // Once a task, for the kernel calls the visitor too.
                     isolated([&] {
+                        const TaskStatistics before = state.statistics;
+                        const std::uint64_t exactBefore = state.exactPairs;
                         makeRows(kind);
-                        if (!callback.finish()) makeRows(RowKind::kVisit);
+                        if (callback.finish()) return;
+                        state.statistics = before;
+                        state.exactPairs = exactBefore;
+                        makeRows(RowKind::kVisit);
                     });
                 });
 }
