@@ -146,8 +146,15 @@ inline char* gatherRun(const QueryBounds& where, const char* halo, std::size_t s
     return kept;
 }
 
-// kSelf: the queries are candidates of the halo, and cell.self is wanted.
-template <typename What, bool kBox, bool kSelf>
+// Whether runs may be so long that gathering asks whether to go on: a cost that only crowds are worth.
+inline bool mayBeLong(int reach, const std::uint32_t* lowest)
+{
+    const int side = 8 + 2 * reach, most = (reach * side + reach) * side;
+    return lowest[most + 2 * reach + 1] - lowest[-most] > HaloScratch::kBetweenAsks;
+}
+
+// kSelf: the queries are candidates of the halo, and cell.self is wanted. kAsks: for long runs.
+template <typename What, bool kBox, bool kSelf, bool kAsks>
 void gatherRuns(const QueryBounds& where, HaloScratch& scratch, int reach, const std::uint32_t* lowest,
                 CellSearch& cell)
 {
@@ -156,6 +163,16 @@ void gatherRuns(const QueryBounds& where, HaloScratch& scratch, int reach, const
     const std::size_t stride = scratch.stride;
     char* kept = scratch.kept();
     BitWriter bits{scratch.keepBits()};
+    const auto keepPart = [&](std::uint32_t begin, std::uint32_t end) {
+        kept = gatherRun<What, kBox>(where, halo, stride, begin, end, kept, bits);
+    };
+    const auto keep = [&](std::uint32_t begin, std::uint32_t end) {
+        if constexpr (kAsks) {
+            inParts(scratch, begin, end, keepPart);
+        } else {
+            keepPart(begin, end);
+        }
+    };
     std::uint32_t candidates = 0;
     for (int dx = -reach; dx <= reach; ++dx) {
         for (int dy = -reach; dy <= reach; ++dy) {
@@ -165,11 +182,11 @@ void gatherRuns(const QueryBounds& where, HaloScratch& scratch, int reach, const
             candidates += end - begin;
             if (kSelf && dx == 0 && dy == 0) {
                 // In two parts, to learn where the first query stands among the kept.
-                kept = gatherRun<What, kBox>(where, halo, stride, begin, cell.firstQuery, kept, bits);
+                keep(begin, cell.firstQuery);
                 cell.self = static_cast<std::uint32_t>((kept - scratch.kept()) / sizeof(float));
                 begin = cell.firstQuery;
             }
-            kept = gatherRun<What, kBox>(where, halo, stride, begin, end, kept, bits);
+            keep(begin, end);
         }
     }
     if constexpr (What::kBits) bits.finish();
@@ -187,10 +204,15 @@ template <typename What, bool kSelf>
 void gatherNear(const QueryBounds& where, HaloScratch& scratch, int reach, const std::uint32_t* lowest,
                 CellSearch& cell)
 {
+    const bool asks = mayBeLong(reach, lowest);
     if (cell.queries >= kBoxQueries) {
-        gatherRuns<What, true, kSelf>(where, scratch, reach, lowest, cell);
+        const auto gatherRunsInBox =
+            asks ? gatherRuns<What, true, kSelf, true> : gatherRuns<What, true, kSelf, false>;
+        gatherRunsInBox(where, scratch, reach, lowest, cell);
     } else {
-        gatherRuns<What, false, kSelf>(where, scratch, reach, lowest, cell);
+        const auto gatherRunsInBall =
+            asks ? gatherRuns<What, false, kSelf, true> : gatherRuns<What, false, kSelf, false>;
+        gatherRunsInBall(where, scratch, reach, lowest, cell);
     }
 }
 

@@ -22,10 +22,25 @@ inline void fetchAhead(const HaloScratch& scratch, const std::uint32_t* numbers,
         __builtin_prefetch(scratch.records + scratch.recordBytes * numbers[i], 0, 2);
 }
 
+// Calls f(begin, end) for parts of a run, and asks whether to go on between them.
+template <typename F>
+__attribute__((always_inline)) inline void inParts(const HaloScratch& scratch, std::uint32_t begin,
+                                                   std::uint32_t end, F&& f)
+{
+    for (;;) { // one call, which is inlined once
+        const bool isLast = end - begin <= HaloScratch::kBetweenAsks;
+        const std::uint32_t to = isLast ? end : begin + HaloScratch::kBetweenAsks;
+        f(begin, to);
+        if (isLast) return;
+        scratch.ask(scratch);
+        begin = to;
+    }
+}
+
 // To the halo from `at` on. kFar: the candidates have radii; `far` by slot, as SetContext::candidateFar.
 template <bool kFar>
-inline void copyRun(const BlockView& block, const float* far, HaloScratch& scratch, std::uint32_t at,
-                    std::uint32_t begin, std::uint32_t end, const float shift[3])
+inline void copyPart(const BlockView& block, const float* far, HaloScratch& scratch, std::uint32_t at,
+                     std::uint32_t begin, std::uint32_t end, const float shift[3])
 {
     char* to = scratch.halo() + std::size_t(at) * sizeof(float);
     const std::size_t stride = scratch.stride;
@@ -39,6 +54,15 @@ inline void copyRun(const BlockView& block, const float* far, HaloScratch& scrat
         Simd::store(integers(to + 4 * stride), Simd::load(block.number + i));
         if constexpr (kFar) Simd::store(floats(to + 8 * stride), Simd::load(far + i));
     }
+}
+
+template <bool kFar>
+inline void copyRun(const BlockView& block, const float* far, HaloScratch& scratch, std::uint32_t at,
+                    std::uint32_t begin, std::uint32_t end, const float shift[3])
+{
+    inParts(scratch, begin, end, [&](std::uint32_t from, std::uint32_t to) {
+        copyPart<kFar>(block, far, scratch, at + (from - begin), from, to, shift);
+    });
 }
 
 // A vector of no candidates at `to`, which is in a halo.

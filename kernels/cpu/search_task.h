@@ -93,6 +93,9 @@ struct HaloScratch {
     std::size_t capacity; // particles: candidates of a leaf, or queries among wider cells
     void* owner;
     void (*reserve)(HaloScratch& scratch, std::size_t particles);
+    // Asks whether to go on, after so many particles of one run: memory that was never used may be slow. Throws where it does not.
+    void (*ask)(const HaloScratch& scratch);
+    static constexpr std::uint32_t kBetweenAsks = 1u << 16;
     // What the taker of rows will read of candidates, by number; null: nothing.
     const char* records;
     std::size_t recordBytes;

@@ -56,6 +56,7 @@ ThreadState::ThreadState() : halo{}, sink{}, visited{}
 {
     halo.owner = this;
     halo.reserve = reserveHalo;
+    halo.ask = askHalo;
     sink.owner = visited.owner = this;
     sink.grow = growRows;
     visited.grow = growVisited;
@@ -140,6 +141,11 @@ void ThreadState::reserveHalo(HaloScratch& scratch, std::size_t particles)
     self.mHaloMemory = PageBlock(HaloScratch::kStrides * scratch.stride);
     scratch.base = static_cast<char*>(self.mHaloMemory.data());
     scratch.capacity = capacity;
+}
+
+void ThreadState::askHalo(const HaloScratch& scratch)
+{
+    static_cast<const ThreadState*>(scratch.owner)->mCancel->check();
 }
 
 void ThreadState::growRows(RowSink& sink, std::size_t entries)

@@ -109,6 +109,7 @@ struct ThreadState {
 
 private:
     static void reserveHalo(HaloScratch& scratch, std::size_t particles);
+    static void askHalo(const HaloScratch& scratch);
     static void growRows(RowSink& sink, std::size_t entries);
     static void growVisited(RowSink& sink, std::size_t entries);
     static bool decidePair(void* state, std::uint32_t query, std::uint32_t candidate);
