@@ -3,6 +3,7 @@
 #include "command.h"
 #include "command_words.h"
 #include "exit_codes.h"
+#include "failure.h"
 #include "help_markdown.h"
 #include "signals.h"
 #include "standard_streams.h"
@@ -15,22 +16,12 @@
 #include <tbb/task_arena.h>
 
 #include <algorithm>
-#include <csignal>
 #include <cstddef>
 #include <new>
 #include <utility>
 
 namespace vdb_nns::cli {
 namespace {
-
-void printError(const Session& session, const std::string& message)
-{
-    const bool isOther = !session.otherPath.empty() && message.rfind(session.otherPath + ":", 0) == 0;
-    const bool named = session.path.empty() || isOther || message.find(session.path) != std::string::npos;
-    const std::string grid = session.grid.empty() ? "" : " (grid " + session.grid + ")";
-    const std::string subject = named ? "" : session.path + grid + ": ";
-    say("error: " + subject + message);
-}
 
 int explainStop(int signal)
 {
@@ -39,38 +30,16 @@ int explainStop(int signal)
     return stopCode(signal);
 }
 
-// The one place where exceptions become exit codes; called inside a catch block.
+// Called inside a catch block.
 int explainException(const Session& session)
 {
     claimEnd();
     try {
-        throw;
+        const Failure failure = failureOf(session);
+        say("error: " + failure.message);
+        return failure.code;
     } catch (const Cancelled&) {
         return explainStop(stopSignal());
-    } catch (const CheckFailed& e) {
-        return printError(session, e.what()), kCheckFailed;
-    } catch (const OutputExists& e) {
-        return printError({}, e.what()), kBadUsage;
-    } catch (const OutputError& e) {
-        return printError({}, e.what()), kNotWritten;
-    } catch (const InvalidInput& e) {
-        return printError(session, e.what()), kBadUsage;
-    } catch (const InputError& e) {
-        return printError(session, e.what()), kBadInput;
-    } catch (const CapacityError& e) {
-        const std::string& flags = session.memoryFlags;
-        return printError(session, e.what() + (flags.empty() ? "" : "; the flags are " + flags)), kNoRoom;
-    } catch (const std::bad_alloc&) {
-        const std::string& flags = session.memoryFlags;
-        const std::string advice =
-            flags.empty() ? "use a machine with more memory" : "the flags are " + flags;
-        return printError(session, "the memory is used up; " + advice), kNoRoom;
-    } catch (const DeviceError& e) {
-        return printError(session, e.what()), kNoDevice;
-    } catch (const std::exception& e) {
-        if (isThreadFailure(e)) return printError({}, threadAdvice(e)), kNoRoom;
-        return printError(session, std::string("a fault of vdb_nns itself, please report it: ") + e.what()),
-               kUnexpected;
     }
 }
 

@@ -53,7 +53,7 @@ PointFile readPoints(const InputFlags& input, const PointNeeds& needs, const Pro
     session.grid = needsInfo ? report.info->grid : input.grid;
     if (needs.hasRadii) return file;
     const std::optional<double> suggested = needsInfo ? report.info->suggestedRadius : std::nullopt;
-    report.radius = chooseRadius(input.radius, suggested, input.path, needs.quiet);
+    report.radius = chooseRadius(input.radius, suggested, input.path, needs.quiet || !needs.tellsRadius);
     if (extensionOf(input.path) == ".vdb") {
         report.radiusVoxels = radiusInVoxels(file.view().linear(), report.radius);
     }

@@ -16,6 +16,7 @@ struct PointNeeds {
     bool quiet;
     std::uint64_t hostMemoryBytes; ///< --host-memory; 0: no bound
     bool hasRadii = false;         ///< points have radii of their own, so that no other is needed
+    bool tellsRadius = true;       ///< that the file suggests, on stderr
 };
 
 /// Reads the file; fills what report and session say of it: path, info, radius, seconds.

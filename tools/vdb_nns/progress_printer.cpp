@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cstdio>
 #include <unistd.h>
+#include <utility>
 
 namespace vdb_nns::cli {
 
@@ -23,6 +24,10 @@ ProgressPrinter::ProgressPrinter(ProgressMode mode)
     } else {
         mStyle = terminal ? Style::kLine : Style::kList;
     }
+}
+
+ProgressPrinter::ProgressPrinter(std::function<void(int)> tell) : mStyle(Style::kTold), mTell(std::move(tell))
+{
 }
 
 ProgressPrinter::~ProgressPrinter()
@@ -63,7 +68,9 @@ void ProgressPrinter::print(int percent)
     // A worker never waits for the terminal: whoever holds the lock prints a number about as new.
     const std::unique_lock<std::mutex> lock(mMutex, std::try_to_lock);
     if (!lock || percent <= mPercent.load(std::memory_order_relaxed)) return;
-    if (mStyle == Style::kList) {
+    if (mStyle == Style::kTold) {
+        mTell(percent);
+    } else if (mStyle == Style::kList) {
         std::fprintf(stderr, "PROGRESS %d%%\n", percent);
     } else {
         const auto now = std::chrono::steady_clock::now();

@@ -6,6 +6,7 @@
 #include <atomic>
 #include <chrono>
 #include <cstddef>
+#include <functional>
 #include <mutex>
 #include <string>
 
@@ -18,6 +19,8 @@ enum class ProgressMode { kAuto, kAlways, kNever };
 class ProgressPrinter : public Progress {
 public:
     explicit ProgressPrinter(ProgressMode mode);
+    /// Prints nothing; tells each percentage that is passed, one at a time.
+    explicit ProgressPrinter(std::function<void(int percent)> tell);
     ~ProgressPrinter() override;
 
     /// Starts a phase that covers the fractions [from, to] of the whole run.
@@ -32,8 +35,9 @@ public:
 private:
     void print(int percent);
 
-    enum class Style { kSilent, kLine, kList };
+    enum class Style { kSilent, kLine, kList, kTold };
     Style mStyle;
+    std::function<void(int)> mTell;
     std::atomic<double> mFrom{0}, mTo{1}; // share of the phase that runs
     std::atomic<int> mPercent{-1};        // last one printed
     std::mutex mMutex;                    // guards what follows

@@ -2,9 +2,11 @@
 #include "command.h"
 #include "exit_codes.h"
 #include "search_flags.h"
+#include "search_frames.h"
 #include "search_run.h"
 #include "standard_streams.h"
 #include "threads.h"
+#include "vdb_nns/error.h"
 
 #include <memory>
 
@@ -34,6 +36,8 @@ int searchFile(const SearchFlags& flags, const SearchPlan& plan, int threads, Se
 
 int runSearchCommand(const SearchFlags& flags, Session& session)
 {
+    if (!flags.frames.empty()) return searchFrames(flags, session);
+    if (flags.skipExisting) throw InvalidInput("--skip-existing is about frames; give --frames RANGE");
     SearchPlan plan = checkSearchFlags(flags);
     ThreadLimit threads(plan.threads);
     const DeviceFlags device = deviceFor(flags.device, plan.query);

@@ -1,9 +1,11 @@
 #include "search_flags.h"
 
+#include "frame_numbers.h"
 #include "threads.h"
 #include "vdb_nns/error.h"
 
 #include <algorithm>
+#include <filesystem>
 
 namespace vdb_nns::cli {
 namespace {
@@ -107,6 +109,14 @@ void addSearchFlags(CLI::App& app, SearchFlags& flags)
         ->check(notEmpty())
         ->capture_default_str()
         ->each([&flags](const std::string&) { flags.givesKeep = true; });
+    app.add_option(
+           "--frames", flags.frames,
+           "search one file after the other: numbers for the places of IN and of all outputs that are "
+           "written #### or %04d or $F4, e.g. 1-240, or 1-240x2 for every second one")
+        ->type_name("RANGE")
+        ->check(notEmpty());
+    app.add_flag("--skip-existing", flags.skipExisting,
+                 "with --frames: leave out frames whose outputs are all there");
     addDeviceFlags(app, flags.device);
     addEngineFlags(app, flags.engine);
     app.add_option("--encoding", flags.encoding,
@@ -140,6 +150,10 @@ ListForm listForm(const SearchFlags& flags, const SearchPlan& plan)
 SearchPlan checkSearchFlags(const SearchFlags& flags)
 {
     SearchPlan plan;
+    if (flags.frames.empty() && isFramePattern(flags.input.path) &&
+        !std::filesystem::exists(flags.input.path))
+        throw InputError(flags.input.path + ": is not there; for the files of a sequence give --frames, e.g. "
+                                            "--frames 1-240");
     if (!flags.input.radius.empty()) parsePositive(flags.input.radius, "--radius");
     plan.query = checkQueryFlags(flags.query, flags.input);
     plan.job.search = searchOptions(flags.engine, nullptr);

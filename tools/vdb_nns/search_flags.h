@@ -30,6 +30,8 @@ struct SearchFlags {
     std::string encoding, lists = "connectivity";
     std::string repeat = "1", nonfinite = "skip";
     bool checksum = false;
+    std::string frames; // numbers; empty: IN is one file
+    bool skipExisting = false;
 };
 
 /// Flags after all that can be checked before reading.

@@ -82,8 +82,9 @@ SearchRun::~SearchRun() = default;
 void SearchRun::read(ProgressPrinter& progress)
 {
     const CommonFlags& common = mFlags.common;
-    const PointNeeds needs{!common.json.empty(), mFlags.nonfinite == "fail", common.quiet,
-                           mOptions.search.hostMemoryBytes, mPlan.query.hasRadii};
+    PointNeeds needs{!common.json.empty(), mFlags.nonfinite == "fail", common.quiet,
+                     mOptions.search.hostMemoryBytes, mPlan.query.hasRadii};
+    needs.tellsRadius = mFlags.frames.empty(); // the line of a frame has it
     mInput = readQuerySets(mFlags.input, mFlags.query, mPlan.query, needs, {progress, 0, kReadShare},
                            mSession, mReport);
     if (!mOptions.measures.empty()) {
@@ -131,6 +132,7 @@ void SearchRun::runJobs(ProgressPrinter& progress)
         gridSeconds.push_back(mJob.gridSeconds);
         searchSeconds.push_back(mJob.searchSeconds);
     }
+    mJob.settled.search.progress = nullptr; // that of the steps is gone
     SecondsReport& seconds = mReport.seconds;
     seconds.firstGrid = gridSeconds.front();
     seconds.firstSearch = searchSeconds.front();
@@ -221,8 +223,7 @@ void SearchRun::writeOutputs(ProgressPrinter& progress)
         if (i == mFlags.outputs.size()) {
             writeArraysNpz(path, made, output, &progress);
         } else if (extensionOf(path) == ".npz") {
-            if (!mJob.written)
-                writeJobNpz(path, *mEngine, mLists, mJob, listForm(mFlags, mPlan), output);
+            if (!mJob.written) writeJobNpz(path, *mEngine, mLists, mJob, listForm(mFlags, mPlan), output);
         } else if (const auto written = writePoints(path, rowsOf(mInput), mKept.before(path, made), mGrid,
                                                     output, &progress)) {
             mReport.measures->voxelSize = written->voxelSize;
