@@ -109,7 +109,7 @@ void putDirectoryEntry(std::string& out, const NpzMember& member)
 
 } // namespace
 
-NpzLayout layoutNpz(const NpzShape& shape, std::uint64_t pairCount, ListValues values)
+NpzLayout layoutNpz(const NpzShape& shape, std::uint64_t pairCount, ListValues values, bool isPart)
 {
     const std::uint64_t rowCount = shape.rows;
     NpzLayout layout;
@@ -125,7 +125,13 @@ NpzLayout layoutNpz(const NpzShape& shape, std::uint64_t pairCount, ListValues v
         npzMember("data", hasDistances ? "<f4" : "|i1", pairShape, (hasDistances ? 4 : 1) * pairCount);
     m[NpzLayout::kShape] = npzMember("shape", "<i8", "2,", 16);
     m[NpzLayout::kFormat] = npzMember("format", "|S3", "", 3);
-    layout.directoryOffset = placeMembers(layout.members, NpzLayout::kMembers);
+    if (isPart) {
+        m[NpzLayout::kRows] = npzMember("rows", "<i8", std::to_string(rowCount) + ",", 8 * rowCount);
+        m[NpzLayout::kPart] =
+            npzMember("part", "<u8", std::to_string(NpzPart::kValues) + ",", 8 * NpzPart::kValues);
+        layout.count = NpzLayout::kMostMembers;
+    }
+    layout.directoryOffset = placeMembers(layout.members, layout.count);
     return layout;
 }
 
@@ -169,7 +175,7 @@ std::string localHeader(const NpzMember& member)
 
 std::string centralDirectory(const NpzLayout& layout)
 {
-    return centralDirectory(layout.members, NpzLayout::kMembers, layout.directoryOffset);
+    return centralDirectory(layout.members, layout.count, layout.directoryOffset);
 }
 
 std::string centralDirectory(const NpzMember* members, std::size_t count, std::uint64_t offset)

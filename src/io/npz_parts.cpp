@@ -47,10 +47,11 @@ std::uint32_t crcOfOnes(std::uint64_t n)
     return result;
 }
 
-NpzLayout beginNpz(const NpzShape& shape, std::uint64_t pairCount, ListValues values)
+NpzLayout beginNpz(const NpzShape& shape, std::uint64_t pairCount, ListValues values, bool isPart)
 {
-    NpzLayout layout = layoutNpz(shape, pairCount, values);
-    for (NpzMember& member : layout.members) {
+    NpzLayout layout = layoutNpz(shape, pairCount, values, isPart);
+    for (std::size_t i = 0; i < layout.count; ++i) {
+        NpzMember& member = layout.members[i];
         member.crc = crcOf(0, member.npyHeader.data(), member.npyHeader.size());
     }
     return layout;
@@ -75,14 +76,35 @@ void writeOnes(OutputFile& file, NpzMember& data, const CancelCheck& cancel)
     data.crc = crcJoined(data.crc, crcOfOnes(data.valueBytes), data.valueBytes);
 }
 
-void finishNpz(OutputFile& file, NpzLayout& layout, const NpzShape& npzShape)
+namespace {
+
+void writePart(OutputFile& file, NpzLayout& layout, const NpzPart& part)
+{
+    constexpr std::size_t kBlock = std::size_t(1) << 17;
+    std::vector<std::int64_t> block;
+    for (std::size_t begin = 0; begin < part.rows.size(); begin += block.size()) {
+        const auto first = part.rows.begin() + static_cast<std::ptrdiff_t>(begin);
+        const std::size_t count = std::min(kBlock, part.rows.size() - begin);
+        block.assign(first, first + static_cast<std::ptrdiff_t>(count));
+        appendValues(file, layout.members[NpzLayout::kRows], 8 * begin, block.data(), 8 * count,
+                     crcOf(0, block.data(), 8 * count));
+    }
+    appendValues(file, layout.members[NpzLayout::kPart], 0, part.values, sizeof part.values,
+                 crcOf(0, part.values, sizeof part.values));
+}
+
+} // namespace
+
+void finishNpz(OutputFile& file, NpzLayout& layout, const NpzShape& npzShape, const NpzPart* part)
 {
     const std::int64_t shape[2] = {static_cast<std::int64_t>(npzShape.rows),
                                    static_cast<std::int64_t>(npzShape.columns)};
     appendValues(file, layout.members[NpzLayout::kShape], 0, shape, sizeof shape,
                  crcOf(0, shape, sizeof shape));
     appendValues(file, layout.members[NpzLayout::kFormat], 0, "csr", 3, crcOf(0, "csr", 3));
-    for (const NpzMember& member : layout.members) {
+    if (part) writePart(file, layout, *part);
+    for (std::size_t i = 0; i < layout.count; ++i) {
+        const NpzMember& member = layout.members[i];
         const std::string header = localHeader(member);
         file.writeAt(member.localOffset, header.data(), header.size());
     }

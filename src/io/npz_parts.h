@@ -23,7 +23,7 @@ std::uint32_t crcShare(std::uint32_t crcOfPiece, std::uint64_t bytesAfterPiece);
 std::uint32_t crcOfOnes(std::uint64_t n);
 
 // Every member's CRC starts with that of its header.
-NpzLayout beginNpz(const NpzShape& shape, std::uint64_t pairCount, ListValues values);
+NpzLayout beginNpz(const NpzShape& shape, std::uint64_t pairCount, ListValues values, bool isPart = false);
 
 // Writes values that follow those already in the member's CRC; `crc` is theirs.
 void appendValues(OutputFile& file, NpzMember& member, std::uint64_t offset, const void* data,
@@ -33,7 +33,7 @@ void appendValues(OutputFile& file, NpzMember& member, std::uint64_t offset, con
 void writeOnes(OutputFile& file, NpzMember& data, const CancelCheck& cancel);
 
 // Once the large arrays are written and in their CRCs: the small members, the headers, the directory.
-void finishNpz(OutputFile& file, NpzLayout& layout, const NpzShape& shape);
+void finishNpz(OutputFile& file, NpzLayout& layout, const NpzShape& shape, const NpzPart* part = nullptr);
 
 // Throws OutputError unless the disk has room for the file; takes it.
 void beginFile(OutputFile& file, const NpzLayout& layout);

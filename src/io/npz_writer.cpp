@@ -6,11 +6,8 @@
 #include "io/npz_parts.h"
 #include "io/output_file.h"
 #include "io/row_sorter.h"
-#include "io/set_geometry.h"
-#include "lists/neighbor_lists_data.h"
 #include "util/cancel.h"
 #include "util/isolate.h"
-#include "util/known_value.h"
 #include "vdb_nns/error.h"
 
 #include <oneapi/tbb/enumerable_thread_specific.h>
@@ -59,14 +56,16 @@ struct Block {
 
 class NpzStream {
 public:
-    NpzStream(OutputFile& file, const NpzRows& rows, const ListForm& form, const CancelCheck& cancel)
+    NpzStream(OutputFile& file, const NpzRows& rows, const ListForm& form, const NpzPart* part,
+              const CancelCheck& cancel)
         : mFile(file),
           mRows(rows),
+          mPart(part),
           mCancel(cancel),
           mHasDistances(form.values == ListValues::kDistance),
           mIsOrdered(form.order == RowOrder::kDistance),
           mShape{rows.size(), rows.columnCount()},
-          mLayout(beginNpz(mShape, rows.pairCount(), form.values))
+          mLayout(beginNpz(mShape, rows.pairCount(), form.values, part != nullptr))
     {
     }
 
@@ -97,7 +96,7 @@ public:
         }
         NpzMember& data = mLayout.members[NpzLayout::kData];
         if (!mHasDistances) data.crc = crcJoined(data.crc, crcOfOnes(mRows.pairCount()), mRows.pairCount());
-        finishNpz(mFile, mLayout, mShape);
+        finishNpz(mFile, mLayout, mShape, mPart);
     }
 
 private:
@@ -214,6 +213,7 @@ private:
 
     OutputFile& mFile;
     const NpzRows& mRows;
+    const NpzPart* const mPart;
     const CancelCheck& mCancel;
     const bool mHasDistances, mIsOrdered;
     const NpzShape mShape;
@@ -222,66 +222,17 @@ private:
     std::vector<std::int8_t> mOnes;
 };
 
-// Rows of lists in either encoding.
-class ListRows final : public NpzRows {
-public:
-    explicit ListRows(const NeighborLists& lists) : mLists(lists), mGeometry(lists.sets()) {}
-
-    std::size_t size() const override { return mLists.size(); }
-    std::uint64_t pairCount() const override { return mLists.pairCount(); }
-    std::size_t columnCount() const override { return mLists.sets().columnCount(); }
-    std::uint32_t count(std::size_t row) const override { return mLists.data().entriesOf(row); }
-
-    void copyRow(std::size_t row, std::uint32_t* out) const override
-    {
-        if (mLists.encoding() == Encoding::kIndex) {
-            const Span<const std::uint32_t> list = mLists.indices(row);
-            std::copy(list.begin(), list.end(), out);
-            return;
-        }
-        thread_local std::vector<std::uint32_t> list;
-        mLists.neighbors(row, list);
-        std::copy(list.begin(), list.end(), out);
-    }
-
-    double distance(std::size_t row, std::size_t neighbor) const override
-    {
-        return mGeometry.distance(row, neighbor);
-    }
-
-    void order(std::size_t row, std::uint32_t* numbers, std::size_t count) const override
-    {
-        mGeometry.order(row, numbers, count);
-    }
-
-private:
-    const NeighborLists& mLists;
-    const SetGeometry mGeometry;
-};
-
 } // namespace
 
 void writeNpzRows(const std::string& path, const NpzRows& rows, const ListForm& form,
-                  const OutputOptions& options, Progress* progress)
+                  const OutputOptions& options, Progress* progress, const NpzPart* part)
 {
     const CancelCheck cancel(progress, "write");
     cancel.update(0);
     OutputFile file(path, options);
-    isolatedIeee([&] { NpzStream(file, rows, form, cancel).write(); });
+    isolatedIeee([&] { NpzStream(file, rows, form, part, cancel).write(); });
     cancel.update(1);
     file.commit();
-}
-
-void writeNpz(const std::string& path, const NeighborLists& lists, const ListForm& form,
-              const OutputOptions& options, Progress* progress)
-{
-    requireKnown(form.values, ListValues::kDistance, "kind of values");
-    requireKnown(form.order, RowOrder::kDistance, "order of rows");
-    if (lists.encoding() == Encoding::kNone) {
-        throw InvalidInput(path +
-                           ": counts alone (encoding none) are no lists; search with encoding index or mask");
-    }
-    writeNpzRows(path, ListRows(lists), form, options, progress);
 }
 
 } // namespace vdb_nns

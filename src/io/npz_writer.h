@@ -37,8 +37,9 @@ std::string centralDirectory(const NpzMember* members, std::size_t count, std::u
 
 // All places are known before the first value is written.
 struct NpzLayout {
-    enum { kIndptr, kIndices, kData, kShape, kFormat, kMembers };
-    NpzMember members[kMembers];
+    enum { kIndptr, kIndices, kData, kShape, kFormat, kMembers, kRows = kMembers, kPart, kMostMembers };
+    NpzMember members[kMostMembers];
+    std::size_t count = kMembers; // kMostMembers for a part
     std::uint64_t directoryOffset = 0;
     std::size_t indexBytes = 4; // of one value of `indices`: 4, or 8 past 2^31-1 columns
 };
@@ -46,7 +47,14 @@ struct NpzLayout {
 struct NpzShape {
     std::uint64_t rows, columns;
 };
-NpzLayout layoutNpz(const NpzShape& shape, std::uint64_t pairCount, ListValues values);
+NpzLayout layoutNpz(const NpzShape& shape, std::uint64_t pairCount, ListValues values, bool isPart = false);
+
+// What a part has besides: the numbers of its rows, and what it is of.
+struct NpzPart {
+    static constexpr std::size_t kValues = 5;
+    const std::vector<std::uint32_t>& rows;
+    std::uint64_t values[kValues];
+};
 
 // What stands at localOffset, up to valueOffset: the local file header, its padding and the .npy header.
 std::string localHeader(const NpzMember& member);
@@ -76,6 +84,6 @@ public:
 
 // writeNpz() of point_file.h for rows of any origin.
 void writeNpzRows(const std::string& path, const NpzRows& rows, const ListForm& form,
-                  const OutputOptions& options, Progress* progress);
+                  const OutputOptions& options, Progress* progress, const NpzPart* part = nullptr);
 
 } // namespace vdb_nns

@@ -118,7 +118,7 @@ int runCommandLine(int argc, char** argv)
         app.allow_extras(); // see unknownWords()
         const std::vector<Command> commands = {
             addSearchCommand(app), addPlanCommand(app),    addSceneCommand(app), addVerifyCommand(app),
-            addBenchCommand(app),  addConvertCommand(app), addInfoCommand(app)};
+            addBenchCommand(app),  addConvertCommand(app), addMergeCommand(app), addInfoCommand(app)};
         for (const Command& command : commands) command.app->allow_extras();
         app.footer("vdb_nns help COMMAND says more."); // last: commands made after it would have it too
         std::vector<std::string> words = withHelp({argv + std::min(argc, 1), argv + argc});

@@ -33,6 +33,9 @@ double parseNumber(const std::string& text, const std::string& flag);
 /// SearchOptions::cellSize, from `auto` or a number.
 double parseCellSize(const std::string& text);
 
+/// Of a search: more are a typo, and their list would fill the memory.
+constexpr std::uint64_t kMostTiles = 1'000'000;
+
 /// Refuses an empty value: it is an unset variable in a script, not a wish for the default.
 const CLI::Validator& notEmpty();
 

@@ -27,6 +27,7 @@ Command addSceneCommand(CLI::App& app);
 Command addVerifyCommand(CLI::App& app);
 Command addBenchCommand(CLI::App& app);
 Command addConvertCommand(CLI::App& app);
+Command addMergeCommand(CLI::App& app);
 Command addInfoCommand(CLI::App& app);
 
 } // namespace vdb_nns::cli

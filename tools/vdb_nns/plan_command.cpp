@@ -17,6 +17,7 @@
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/search.h"
 #include "vdb_nns/search_job.h"
+#include "vdb_nns/tiles.h"
 
 #include <algorithm>
 #include <filesystem>
@@ -34,7 +35,7 @@ struct PlanFlags {
     EngineFlags engine;
     DeviceFlags device;
     std::vector<std::string> outputs;
-    std::string encoding = "mask", nonfinite = "skip", svg;
+    std::string encoding = "mask", nonfinite = "skip", svg, tiles;
     bool givesEncoding = false; // whether the flag is there
 };
 
@@ -43,6 +44,7 @@ struct PlannedSearch {
     JobOptions job;
     QueryPlan query;
     MeasurePlan measure;
+    std::uint32_t tiles = 0; // 0: not asked for
 };
 
 void addFlags(CLI::App& app, PlanFlags& flags)
@@ -70,6 +72,10 @@ void addFlags(CLI::App& app, PlanFlags& flags)
         ->type_name("HOW")
         ->check(CLI::IsMember({"skip", "fail"}))
         ->capture_default_str();
+    app.add_option("--tiles", flags.tiles,
+                   "show N ranges of leaves of equal work, which `search --tile K/N` finds the rows of")
+        ->type_name("N")
+        ->check(notEmpty());
     app.add_option("--svg", flags.svg, "draw the blocks as a projection, colored by who would run them")
         ->type_name("FILE")
         ->check(notEmpty());
@@ -99,6 +105,8 @@ PlannedSearch checkFlags(const PlanFlags& flags)
 {
     PlannedSearch plan;
     if (!flags.input.radius.empty()) parsePositive(flags.input.radius, "--radius");
+    if (!flags.tiles.empty())
+        plan.tiles = static_cast<std::uint32_t>(parseRange(flags.tiles, "--tiles", 1, kMostTiles));
     const QueryPlan& query = plan.query = checkQueryFlags(flags.query, flags.input);
     checkMeasures(flags, plan);
     SearchOptions& options = plan.job.search = searchOptions(flags.engine, nullptr);
@@ -175,6 +183,10 @@ int planFile(const PlanFlags& flags, const PlannedSearch& plan, int threads, Ses
     report.seconds.estimate = planned.plan.estimateSeconds;
     report.seconds.plan = planned.plan.planSeconds;
     report.plan = std::move(planned.plan);
+    if (plan.tiles > 0) {
+        const ParticleView& rows = (input.queries ? *input.queries : input.candidates).view();
+        report.tiles = TileCut(rows, input.largestRadius(report.radius), plan.tiles, &progress).tiles();
+    }
     if (!plan.measure.names.empty()) report.measureBytes = planned.measureBytes;
     fillReport(planned.sets, options.search, report);
     throwIfStopped();

@@ -92,6 +92,23 @@ std::uint64_t outputBytes(const SearchReport& report)
 
 } // namespace
 
+namespace {
+
+// How even they are.
+std::string tilesLine(const std::vector<Tile>& tiles)
+{
+    std::uint64_t fewest = tiles.front().particles, most = 0, bytes = 0;
+    for (const Tile& tile : tiles) {
+        fewest = std::min(fewest, tile.particles);
+        most = std::max(most, tile.particles);
+        bytes = std::max(bytes, tile.bytes);
+    }
+    return countText(tiles.size()) + " of " + countText(fewest) + " to " + countText(most) +
+           " particles, at most " + bytesText(bytes) + " each beside the points";
+}
+
+} // namespace
+
 std::string planReportText(const SearchReport& report)
 {
     const Plan& plan = *report.plan;
@@ -114,6 +131,7 @@ std::string planReportText(const SearchReport& report)
     text += line("blocks", blocksLine(plan));
     if (!schedule.inCore) text += line("boundary", boundaryModeName(schedule.boundary));
     text += executorLines(plan);
+    if (!report.tiles.empty()) text += line("tiles", tilesLine(report.tiles));
     text += line("output", "about " + bytesText(outputBytes(report)) + " as .npz");
     text +=
         line("predicted",

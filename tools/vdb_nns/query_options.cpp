@@ -2,6 +2,7 @@
 
 #include "vdb_nns/error.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -278,6 +279,17 @@ Radius QueryInput::radius(double one) const
     }
     radius.value = radius.isOne() ? 1 : 0; // of no particles at all: any radius
     return radius;
+}
+
+double QueryInput::largestRadius(double one) const
+{
+    double largest = plan.hasRadii ? 0 : one;
+    for (const std::vector<double>* radii : {&queryRadii, &candidateRadii}) {
+        for (const double r : *radii) {
+            if (std::isfinite(r)) largest = std::max(largest, r);
+        }
+    }
+    return largest;
 }
 
 QueryInput readQueryInput(PointFile candidates, const QueryFlags& flags, const QueryPlan& plan,

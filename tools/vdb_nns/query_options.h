@@ -71,6 +71,8 @@ struct QueryInput {
     ParticleSet candidateSet() const;
     /// @param one the radius of all pairs; not read if particles have their own.
     Radius radius(double one) const;
+    /// The largest finite radius of particles, 0 without one; where one serves all, that.
+    double largestRadius(double one) const;
 };
 
 /// Reads the other points, the groups and the radii that a plan needs.

@@ -190,6 +190,21 @@ Json resultJson(const SearchReport& report)
     return result;
 }
 
+Json tilesJson(const std::vector<Tile>& tiles)
+{
+    Json list = Json::array();
+    for (const Tile& tile : tiles) {
+        list.push_back({{"tile", list.size() + 1},
+                        {"first_leaf", tile.firstLeaf},
+                        {"end_leaf", tile.endLeaf},
+                        {"particles", tile.particles},
+                        {"halo_particles", tile.haloParticles},
+                        {"expected_pairs", tile.expectedPairs},
+                        {"bytes", tile.bytes}});
+    }
+    return list;
+}
+
 Json measuresJson(const WrittenMeasures& measures)
 {
     Json json;
@@ -420,6 +435,10 @@ std::string searchReportJson(const SearchReport& report)
                       {"simd", report.simd}};
     json["devices"] = devices;
     json["plan"] = planJson(report);
+    if (report.tile)
+        json["tile"] = {
+            {"tile", report.tile->tile}, {"tiles", report.tile->tiles}, {"rows", report.tile->rows}};
+    if (!report.tiles.empty()) json["tiles"] = tilesJson(report.tiles);
     json["result"] = resultJson(report);
     json["measures"] = report.measures ? measuresJson(*report.measures) : Json(nullptr);
     json["estimate"] = estimateJson(report);
@@ -455,6 +474,10 @@ std::string searchReportText(const SearchReport& report)
     const SecondsReport& seconds = report.seconds;
     std::string text = line("particles", countText(report.points));
     if (report.queries) text += line("queries", countText(report.rows) + " of " + report.queries->path);
+    if (report.tile) {
+        text += line("tile", format("%u of %u, ", report.tile->tile, report.tile->tiles) +
+                                 countText(report.tile->rows) + " rows");
+    }
     const std::string voxels =
         report.radiusVoxels ? " (" + vectorText(*report.radiusVoxels) + " voxels)" : "";
     text += line("radius", shortest(report.radius) + voxels);

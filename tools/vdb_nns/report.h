@@ -8,6 +8,7 @@
 #include "vdb_nns/point_file.h"
 #include "vdb_nns/search_options.h"
 #include "vdb_nns/search_sets.h"
+#include "vdb_nns/tiles.h"
 #include "vdb_nns/types.h"
 #include "vdb_nns/write_points.h"
 
@@ -44,6 +45,12 @@ struct WrittenMeasures {
     double voxelSize = 0, largestRounding = 0; ///< of a new .vdb; 0 without one
 };
 
+/// A search of some rows alone.
+struct TileReport {
+    std::uint32_t tile = 0, tiles = 0; ///< tile: from 1
+    std::uint64_t rows = 0;
+};
+
 struct SearchReport {
     std::string command = "search";
     std::string path;
@@ -68,6 +75,8 @@ struct SearchReport {
     std::optional<std::uint64_t> checksum;
     std::uint64_t peakBytes = 0;
     std::optional<WrittenMeasures> measures; ///< empty where none are written
+    std::optional<TileReport> tile;          ///< empty where all rows are found
+    std::vector<Tile> tiles;                 ///< of a plan with --tiles
     SecondsReport seconds;
     std::vector<std::string> written;
 };

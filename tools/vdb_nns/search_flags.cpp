@@ -53,6 +53,29 @@ void checkMeasures(const SearchFlags& flags, SearchPlan& plan)
     plan.job.measures = plan.measure.names;
 }
 
+TileChoice parseTile(const std::string& text)
+{
+    const std::size_t slash = text.find('/');
+    if (slash == std::string::npos)
+        throw InvalidInput("--tile: '" + text + "' is no tile; give e.g. 3/7, the third of seven");
+    TileChoice choice;
+    choice.tiles = static_cast<std::uint32_t>(parseRange(text.substr(slash + 1), "--tile", 1, kMostTiles));
+    choice.tile = static_cast<std::uint32_t>(parseRange(text.substr(0, slash), "--tile", 1, choice.tiles));
+    return choice;
+}
+
+// A tile has rows alone, in one file.
+void checkTile(const SearchFlags& flags, SearchPlan& plan)
+{
+    if (flags.tile.empty()) return;
+    plan.tile = parseTile(flags.tile);
+    if (!plan.measure.isCountAlone() || plan.writesAttributes())
+        throw InvalidInput("--tile makes lists, in an .npz, and no attributes of points; leave --attributes, "
+                           "--attributes-output and outputs that are no .npz out");
+    if (flags.outputs.size() > 1) throw InvalidInput("--tile writes one part; give one -o PART.npz");
+    plan.query.hasRoles = true; // the rows are those of some points
+}
+
 Encoding chooseEncoding(const SearchFlags& flags, const SearchPlan& plan)
 {
     if (flags.encoding == "index") return Encoding::kIndex;
@@ -117,6 +140,11 @@ void addSearchFlags(CLI::App& app, SearchFlags& flags)
         ->check(notEmpty());
     app.add_flag("--skip-existing", flags.skipExisting,
                  "with --frames: leave out frames whose outputs are all there");
+    app.add_option("--tile", flags.tile,
+                   "find the rows of one of N ranges of leaves of equal work alone, from 1: a part, for "
+                   "`vdb_nns merge`")
+        ->type_name("K/N")
+        ->check(notEmpty());
     addDeviceFlags(app, flags.device);
     addEngineFlags(app, flags.engine);
     app.add_option("--encoding", flags.encoding,
@@ -147,6 +175,18 @@ ListForm listForm(const SearchFlags& flags, const SearchPlan& plan)
             plan.query.byDistance ? RowOrder::kDistance : RowOrder::kNumber};
 }
 
+std::string optionsText(const SearchFlags& flags)
+{
+    const QueryFlags& query = flags.query;
+    std::string text;
+    for (const std::string* value :
+         {&flags.input.grid, &flags.input.columns, &flags.input.array, &query.queriesGrid, &query.queryGroup,
+          &query.candidateGroup, &query.radiusAttribute, &query.radiusScale, &query.radiusMode,
+          &query.nearest, &query.order, &flags.lists})
+        text += std::to_string(value->size()) + ":" + *value;
+    return text + (query.includeSelf ? "+self" : "");
+}
+
 SearchPlan checkSearchFlags(const SearchFlags& flags)
 {
     SearchPlan plan;
@@ -168,10 +208,11 @@ SearchPlan checkSearchFlags(const SearchFlags& flags)
     if (plan.repeat == 0) throw InvalidInput("--repeat: 0 runs are none; give 1 or more");
     checkOutputKinds(flags, plan);
     checkMeasures(flags, plan);
+    checkTile(flags, plan);
     plan.job.search.encoding = chooseEncoding(flags, plan);
     plan.job.mayUseMasks = flags.encoding.empty();
-    plan.job.mayStream = plan.job.written.npz && flags.encoding != "mask";
-    plan.job.npz = targetOf(flags, plan);
+    plan.job.mayStream = plan.job.written.npz && flags.encoding != "mask" && !plan.tile;
+    if (!plan.tile) plan.job.npz = targetOf(flags, plan);
     std::vector<std::string> inputs = queryFiles(flags.query);
     inputs.push_back(flags.input.path);
     std::vector<std::string> outputs = flags.outputs;

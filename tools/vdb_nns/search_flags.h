@@ -32,6 +32,13 @@ struct SearchFlags {
     bool checksum = false;
     std::string frames; // numbers; empty: IN is one file
     bool skipExisting = false;
+    std::string tile; // K/N; empty: all rows
+};
+
+/// --tile K/N.
+struct TileChoice {
+    std::uint32_t tile = 0; ///< from 1
+    std::uint32_t tiles = 0;
 };
 
 /// Flags after all that can be checked before reading.
@@ -41,6 +48,7 @@ struct SearchPlan {
     MeasurePlan measure;
     AttributeOutputs attributes;
     std::optional<double> voxelSize; // of a new .vdb; else the radius
+    std::optional<TileChoice> tile;
     int threads = 0;
     std::uint64_t repeat = 1;
 
@@ -52,6 +60,9 @@ void addSearchFlags(CLI::App& app, SearchFlags& flags);
 /// Everything that can be wrong without reading a byte. The devices of the job are not opened yet: see deviceFor().
 /// @throws InvalidInput, OutputExists, OutputError; CapacityError for less memory than the program itself takes
 SearchPlan checkSearchFlags(const SearchFlags& flags);
+
+/// All that makes the lists what they are, but for the points and the radius: for PartOrigin::options.
+std::string optionsText(const SearchFlags& flags);
 
 /// What the rows of an .npz are like.
 ListForm listForm(const SearchFlags& flags, const SearchPlan& plan);

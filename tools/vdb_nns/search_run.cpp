@@ -6,6 +6,7 @@
 #include "search_progress.h"
 #include "standard_streams.h"
 #include "vdb_nns/error.h"
+#include "vdb_nns/tiles.h"
 #include "vdb_nns/write_points.h"
 
 #include <tbb/combinable.h>
@@ -26,13 +27,7 @@ NewGridOptions newGridOptions(const SearchPlan& plan, const QueryInput& input, d
 {
     NewGridOptions grid;
     if (!plan.query.hasRadii) grid.suggestedRadius = radius;
-    double largest = plan.query.hasRadii ? 0 : radius;
-    for (const std::vector<double>* radii : {&input.queryRadii, &input.candidateRadii}) {
-        for (const double r : *radii) {
-            if (std::isfinite(r)) largest = std::max(largest, r);
-        }
-    }
-    grid.voxelSize = plan.voxelSize.value_or(largest);
+    grid.voxelSize = plan.voxelSize.value_or(input.largestRadius(radius));
     return grid;
 }
 
@@ -87,6 +82,7 @@ void SearchRun::read(ProgressPrinter& progress)
     needs.tellsRadius = mFlags.frames.empty(); // the line of a frame has it
     mInput = readQuerySets(mFlags.input, mFlags.query, mPlan.query, needs, {progress, 0, kReadShare},
                            mSession, mReport);
+    if (mPlan.tile) chooseTile(progress);
     if (!mOptions.measures.empty()) {
         mMeasured = readMeasureInput(mInput.candidates, mPlan.measure, &progress);
         mOptions.measure = optionsOf(mPlan.measure, mMeasured);
@@ -102,6 +98,35 @@ void SearchRun::read(ProgressPrinter& progress)
     }
     checkReadingPeak(mOptions.search.hostMemoryBytes, "the points and the values that come along",
                      ", or leave values out with --keep none");
+}
+
+// Its rows are the queries, as far as they are any.
+void SearchRun::chooseTile(ProgressPrinter& progress)
+{
+    const ParticleView& rows = rowsOf(mInput).view();
+    const TileCut cut(rows, mInput.largestRadius(mReport.radius), mPlan.tile->tiles, &progress);
+    mTileRows = cut.particles(mPlan.tile->tile - 1);
+    std::vector<std::uint8_t> chosen(rows.size());
+    for (const std::uint32_t row : mTileRows) {
+        chosen[row] = mInput.queryChosen.empty() || mInput.queryChosen[row] != 0;
+    }
+    mInput.queryChosen = std::move(chosen);
+    mReport.tile = TileReport{mPlan.tile->tile, mPlan.tile->tiles, mTileRows.size()};
+}
+
+void SearchRun::writePart(const std::string& path, ProgressPrinter& progress)
+{
+    PartOrigin origin;
+    origin.tile = mPlan.tile->tile;
+    origin.tiles = mPlan.tile->tiles;
+    origin.rows = mLists.size();
+    std::vector<std::string> files = queryFiles(mFlags.query);
+    files.push_back(mFlags.input.path);
+    for (const std::string& file : files) origin.input = mix64(origin.input) ^ hashFile(file, &progress);
+    const std::string options = optionsText(mFlags) + shortest(mInput.largestRadius(mReport.radius));
+    for (const char c : options) origin.options = mix64(origin.options ^ static_cast<unsigned char>(c));
+    writeNpzPart(path, mLists, mTileRows, origin, listForm(mFlags, mPlan), outputOptions(mFlags.common),
+                 &progress);
 }
 
 // The job, as often as is asked for with buffers kept; the last lists stay.
@@ -223,7 +248,11 @@ void SearchRun::writeOutputs(ProgressPrinter& progress)
         if (i == mFlags.outputs.size()) {
             writeArraysNpz(path, made, output, &progress);
         } else if (extensionOf(path) == ".npz") {
-            if (!mJob.written) writeJobNpz(path, *mEngine, mLists, mJob, listForm(mFlags, mPlan), output);
+            if (mPlan.tile) {
+                writePart(path, progress);
+            } else if (!mJob.written) {
+                writeJobNpz(path, *mEngine, mLists, mJob, listForm(mFlags, mPlan), output);
+            }
         } else if (const auto written = writePoints(path, rowsOf(mInput), mKept.before(path, made), mGrid,
                                                     output, &progress)) {
             mReport.measures->voxelSize = written->voxelSize;

@@ -36,6 +36,8 @@ public:
     const SearchReport& report() const { return mReport; }
 
 private:
+    void chooseTile(ProgressPrinter& progress);
+    void writePart(const std::string& path, ProgressPrinter& progress);
     void runJobs(ProgressPrinter& progress);
     void fillReport();
     void makeChecksum();
@@ -54,6 +56,7 @@ private:
     JobOptions mOptions;
     NewGridOptions mGrid;
     KeptOutputs mKept; // of the input, in new files of its points
+    std::vector<std::uint32_t> mTileRows;
 
     SearchEngine* mEngine = nullptr;
     JobReport mJob;

@@ -1,0 +1,242 @@
+// Cuts particles into tiles. Knows leaves and how many particles they hold; looks at positions only where there are no leaves, in
+// arrays.
+#include "vdb_nns/tiles.h"
+
+#include "points/particle_source.h"
+#include "util/cancel.h"
+#include "util/isolate.h"
+#include "vdb_nns/error.h"
+
+#include <oneapi/tbb/blocked_range.h>
+#include <oneapi/tbb/parallel_for.h>
+#include <oneapi/tbb/parallel_sort.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <string>
+#include <unordered_map>
+#include <utility>
+
+namespace vdb_nns {
+namespace {
+
+using LeafCoord = std::array<std::int64_t, 3>; // in leaves
+
+constexpr std::int64_t kEdge = 8;          // of a leaf, in voxels or cells
+constexpr double kBall = 4.18879020478639; // volume of the ball of radius 1, 4 pi / 3
+
+struct Leaf {
+    LeafCoord place;
+    std::uint64_t particles;
+};
+
+// What a leaf is in space, as far as tiles need it.
+struct Shape {
+    double ballsEach = 0;                // volume of the ball of the radius over that of a leaf
+    std::array<std::int64_t, 3> reach{}; // leaves that the radius spans along each axis, rounded up
+};
+
+// The order of a VDB tree: by the nodes of 512^3 leaves, then of 16^3, then leaves; x before y before z in each.
+std::array<LeafCoord, 3> treeOrder(const LeafCoord& leaf)
+{
+    constexpr int kLog2Lower = 4, kLog2Upper = 9;
+    std::array<LeafCoord, 3> order{};
+    for (std::size_t k = 0; k < 3; ++k)
+        order[0][k] = leaf[k] >> kLog2Upper, order[1][k] = leaf[k] >> kLog2Lower;
+    order[2] = leaf;
+    return order;
+}
+
+double determinant(const Matrix3& m)
+{
+    return m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) -
+           m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
+           m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
+}
+
+// A number of leaves from a quotient that may be anything.
+std::int64_t boundedFloor(double value)
+{
+    constexpr double kMost = 1e15; // doubles are whole numbers below; farther leaves are one
+    if (!(value >= -kMost)) return -static_cast<std::int64_t>(kMost);
+    return static_cast<std::int64_t>(std::floor(std::min(value, kMost)));
+}
+
+Shape shapeOf(const ParticleSource& source, double radius)
+{
+    const double ball = kBall * radius * radius * radius;
+    Shape shape;
+    if (source.isArray()) {
+        shape.ballsEach = kBall / (kEdge * kEdge * kEdge);
+        shape.reach = {1, 1, 1};
+        return shape;
+    }
+    const Matrix3& m = source.linear();
+    const double volume = std::fabs(determinant(m));
+    shape.ballsEach = ball / (kEdge * kEdge * kEdge * volume);
+    for (std::size_t k = 0; k < 3; ++k) {
+        // |row k of the inverse| = |cross product of the other two columns| / |det|: voxels along axis k per world unit.
+        const std::size_t i = (k + 1) % 3, j = (k + 2) % 3;
+        const double x = m[1][i] * m[2][j] - m[2][i] * m[1][j], y = m[2][i] * m[0][j] - m[0][i] * m[2][j],
+                     z = m[0][i] * m[1][j] - m[1][i] * m[0][j];
+        const double voxels = radius * std::sqrt(x * x + y * y + z * z) / volume;
+        shape.reach[k] = boundedFloor(voxels / kEdge) + 1;
+    }
+    return shape;
+}
+
+std::uint64_t pairsOf(std::uint64_t particles, double ballsEach)
+{
+    constexpr double kMost = 9007199254740992.0; // 2^53
+    if (particles == 0) return 0;
+    const double n = static_cast<double>(particles);
+    return static_cast<std::uint64_t>(std::min(n * (n - 1) * std::min(ballsEach, 1.0), kMost));
+}
+
+std::vector<Leaf> leavesOfGrid(const ParticleSource& source)
+{
+    std::vector<Leaf> leaves(source.fileLeafCount());
+    for (std::size_t i = 0; i < leaves.size(); ++i) {
+        const FileLeaf leaf = source.fileLeaf(i);
+        for (std::size_t k = 0; k < 3; ++k) leaves[i].place[k] = leaf.origin[k] >> 3;
+        leaves[i].particles = leaf.count;
+    }
+    return leaves;
+}
+
+// Also the numbers of the particles, leaf by leaf.
+std::vector<Leaf> leavesOfArray(const ParticleSource& source, double radius, const CancelCheck& cancel,
+                                std::vector<std::uint32_t>& numbers)
+{
+    struct Placed {
+        LeafCoord place;
+        std::uint32_t number;
+    };
+    constexpr std::size_t kBlock = 4096;
+    std::vector<Placed> placed(source.size());
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, placed.size(), kBlock), [&](const auto& range) {
+        cancel.check();
+        for (std::size_t i = range.begin(); i < range.end(); ++i) {
+            const StoredPosition position = source.stored(i);
+            for (std::size_t k = 0; k < 3; ++k)
+                placed[i].place[k] = boundedFloor(position.offset[k] / (kEdge * radius));
+            placed[i].number = static_cast<std::uint32_t>(i);
+        }
+    });
+    tbb::parallel_sort(placed.begin(), placed.end(), [](const Placed& a, const Placed& b) {
+        if (a.place == b.place) return a.number < b.number;
+        return treeOrder(a.place) < treeOrder(b.place);
+    });
+    cancel.check();
+    std::vector<Leaf> leaves;
+    numbers.resize(placed.size());
+    for (std::size_t i = 0; i < placed.size(); ++i) {
+        if (leaves.empty() || leaves.back().place != placed[i].place) leaves.push_back({placed[i].place, 0});
+        ++leaves.back().particles;
+        numbers[i] = placed[i].number;
+    }
+    return leaves;
+}
+
+struct CoordHash {
+    std::size_t operator()(const LeafCoord& c) const
+    {
+        std::uint64_t h = 0;
+        for (const std::int64_t value : c) h = (h ^ static_cast<std::uint64_t>(value)) * 0x9E3779B97F4A7C15u;
+        return static_cast<std::size_t>(h ^ (h >> 32));
+    }
+};
+
+// Particles near each tile, by boxes of leaves as wide as the radius: those of a tile's boxes and of their neighbors that are not its
+// own.
+void findHalos(const std::vector<Leaf>& leaves, const Shape& shape, std::vector<Tile>& tiles)
+{
+    const auto boxOf = [&](const LeafCoord& leaf) {
+        LeafCoord box;
+        for (std::size_t k = 0; k < 3; ++k) {
+            const std::int64_t edge = shape.reach[k];
+            box[k] = leaf[k] >= 0 ? leaf[k] / edge : -((edge - 1 - leaf[k]) / edge);
+        }
+        return box;
+    };
+    std::unordered_map<LeafCoord, std::uint64_t, CoordHash> particles;
+    for (const Leaf& leaf : leaves) particles[boxOf(leaf.place)] += leaf.particles;
+    tbb::parallel_for(std::size_t(0), tiles.size(), [&](std::size_t t) {
+        std::unordered_map<LeafCoord, bool, CoordHash> near; // boxes
+        Tile& tile = tiles[t];
+        for (std::uint64_t i = tile.firstLeaf; i < tile.endLeaf; ++i) {
+            const LeafCoord box = boxOf(leaves[static_cast<std::size_t>(i)].place);
+            if (!near.emplace(box, true).second && near[box]) continue;
+            near[box] = true;
+            for (int n = 0; n < 27; ++n) {
+                const LeafCoord other{box[0] + n / 9 - 1, box[1] + n / 3 % 3 - 1, box[2] + n % 3 - 1};
+                if (particles.count(other) > 0) near.emplace(other, false);
+            }
+        }
+        std::uint64_t all = 0;
+        for (const auto& box : near) all += particles.at(box.first);
+        tile.haloParticles = all - tile.particles;
+    });
+}
+
+} // namespace
+
+TileCut::TileCut(const ParticleView& view, double radius, std::uint32_t tiles, Progress* progress)
+{
+    constexpr std::uint64_t kGridBytes = 24, kRowBytes = 16,
+                            kPairBytes = 4; // of a particle, a query and a pair
+    if (!(radius >= 0) || !std::isfinite(radius))
+        throw InvalidInput("a cut into tiles: the radius is negative or not finite");
+    if (radius == 0) radius = 1; // nobody has a neighbor, wherever the cuts are
+    if (tiles == 0) throw InvalidInput("a cut into 0 tiles has room for no particle; give 1 or more");
+    const CancelCheck cancel(progress, "tiles");
+    const ParticleSource& source = view.source();
+    isolatedIeee([&] {
+        const std::vector<Leaf> leaves =
+            source.isArray() ? leavesOfArray(source, radius, cancel, mNumbers) : leavesOfGrid(source);
+        const Shape shape = shapeOf(source, radius);
+        unsigned __int128 total = 0, before = 0;
+        for (const Leaf& leaf : leaves) total += leaf.particles + pairsOf(leaf.particles, shape.ballsEach);
+        mTiles.resize(tiles);
+        std::size_t next = 0;
+        for (std::uint32_t t = 0; t < tiles; ++t) {
+            Tile& tile = mTiles[t];
+            tile.firstLeaf = next;
+            // Leaves whose middle is before the end of the tile's share.
+            for (; next < leaves.size(); ++next) {
+                const std::uint64_t pairs = pairsOf(leaves[next].particles, shape.ballsEach);
+                const unsigned __int128 work = leaves[next].particles + pairs;
+                if (t + 1 < tiles && (2 * before + work) * tiles >= 2 * total * (t + 1)) break;
+                before += work;
+                tile.particles += leaves[next].particles;
+                tile.expectedPairs += pairs;
+            }
+            tile.endLeaf = next;
+        }
+        cancel.check();
+        findHalos(leaves, shape, mTiles);
+    });
+    mBegins.push_back(0);
+    for (Tile& tile : mTiles) {
+        tile.bytes = kGridBytes * (tile.particles + tile.haloParticles) + kRowBytes * tile.particles +
+                     kPairBytes * tile.expectedPairs;
+        mBegins.push_back(mBegins.back() + tile.particles);
+    }
+}
+
+std::vector<std::uint32_t> TileCut::particles(std::uint32_t tile) const
+{
+    const std::uint64_t begin = mBegins[tile], end = mBegins[tile + 1];
+    std::vector<std::uint32_t> result(static_cast<std::size_t>(end - begin));
+    for (std::size_t i = 0; i < result.size(); ++i) {
+        const std::uint64_t place = begin + i;
+        result[i] =
+            mNumbers.empty() ? static_cast<std::uint32_t>(place) : mNumbers[static_cast<std::size_t>(place)];
+    }
+    if (!mNumbers.empty()) tbb::parallel_sort(result.begin(), result.end());
+    return result;
+}
+
+} // namespace vdb_nns
