@@ -9,7 +9,7 @@ import cli_case
 
 MODULES = ["test_usage", "test_inputs", "test_formats", "test_outputs", "test_streams", "test_memory", "test_lists", "test_interrupt",
            "test_verify", "test_verify_attributes", "test_queries", "test_measures", "test_measure_bytes", "test_attributes", "test_bench",
-           "test_plan", "test_device", "test_convert", "test_frames"]  # test_cuda needs the program on emulated devices
+           "test_plan", "test_device", "test_convert", "test_frames", "test_tiles"]  # test_cuda needs the program on emulated devices
 
 if __name__ == "__main__":
     if len(sys.argv) < 3:
