@@ -55,6 +55,20 @@ struct StoredValue {
     std::string problem; ///< why it cannot be read, as the end of a sentence that begins with it; else empty
 };
 
+/// A tile of a file (tiles.h) that is read without the others.
+struct TileOfFile {
+    std::uint32_t tile = 0; ///< from 1
+    std::uint32_t tiles = 0;
+    double radius = 0; ///< world units; 0: the one that the file suggests
+};
+
+/// Which points of a file a view has that holds a tile and all that may be within the radius of it.
+struct TileNumbers {
+    std::vector<std::uint32_t> numbers; ///< in the file, of each point of the view; they ascend
+    std::size_t begin = 0, end = 0;     ///< of the tile's own points in the view
+    std::uint64_t total = 0;            ///< points of the file
+};
+
 struct PointFileOptions {
     /// Name of the point grid of a .vdb; empty: the only one.
     std::string grid;
@@ -74,6 +88,11 @@ struct PointFileOptions {
 
     /// Name of the array of an .npz that holds the positions; empty: the only one, else the one named `positions`.
     std::string array = {};
+
+    /// Of a .vdb: reads this tile alone, and the leaves that may have a neighbor of one of its points. Numbers in the view are not
+    /// those of the file: see PointFile::tileNumbers(). The file is read twice, the first time in pieces that are not kept. Values
+    /// of such points cannot be read.
+    std::optional<TileOfFile> tile = {};
 };
 
 /// A point file in memory. Copies share it. Safe to use from several threads and from inside TBB tasks,
@@ -92,6 +111,9 @@ public:
 
     /// The positions. The view keeps the file's memory alive.
     const ParticleView& view() const;
+
+    /// What a view of a tile alone has; null where all points were read.
+    const TileNumbers* tileNumbers() const;
 
     /// PointFileInfo::notes, without the pass over the positions that info() makes.
     const std::vector<std::string>& notes() const;

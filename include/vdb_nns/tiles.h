@@ -62,10 +62,12 @@ struct PartOrigin {
 /// Writes some rows of lists as writeNpz() does, with the shape (rows, columns), and behind them two members more: `rows`
 /// (int64), their numbers, and `part` (uint64[5]): tile, tiles, input, options, rows of all.
 /// @param rows numbers of queries, ascending
+/// @param numbers of a view of a tile alone (PointFile::tileNumbers()), so that the numbers written are those of the file; null:
+///        they are those of the lists
 /// @throws as writeNpz()
 void writeNpzPart(const std::string& path, const NeighborLists& lists, const std::vector<std::uint32_t>& rows,
                   const PartOrigin& origin, const ListForm& form, const OutputOptions& options = {},
-                  Progress* progress = nullptr);
+                  Progress* progress = nullptr, const TileNumbers* numbers = nullptr);
 
 struct MergedParts {
     std::uint64_t rows = 0, columns = 0, pairs = 0;

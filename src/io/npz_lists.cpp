@@ -76,6 +76,46 @@ private:
     std::uint64_t mPairs = 0;
 };
 
+// The same rows with the numbers of the file that the view is a part of.
+class RenumberedRows final : public NpzRows {
+public:
+    RenumberedRows(const NpzRows& rows, const TileNumbers& numbers) : mRows(rows), mNumbers(numbers) {}
+
+    std::size_t size() const override { return mRows.size(); }
+    std::uint64_t pairCount() const override { return mRows.pairCount(); }
+    std::size_t columnCount() const override { return static_cast<std::size_t>(mNumbers.total); }
+    std::uint32_t count(std::size_t row) const override { return mRows.count(row); }
+
+    void copyRow(std::size_t row, std::uint32_t* out) const override
+    {
+        mRows.copyRow(row, out);
+        const std::size_t entries = mRows.count(row);
+        for (std::size_t k = 0; k < entries; ++k) out[k] = mNumbers.numbers[out[k]];
+    }
+
+    double distance(std::size_t row, std::size_t neighbor) const override
+    {
+        return mRows.distance(row, placeOf(static_cast<std::uint32_t>(neighbor)));
+    }
+
+    void order(std::size_t row, std::uint32_t* numbers, std::size_t count) const override
+    {
+        for (std::size_t k = 0; k < count; ++k) numbers[k] = placeOf(numbers[k]);
+        mRows.order(row, numbers, count);
+        for (std::size_t k = 0; k < count; ++k) numbers[k] = mNumbers.numbers[numbers[k]];
+    }
+
+private:
+    std::uint32_t placeOf(std::uint32_t number) const
+    {
+        const std::vector<std::uint32_t>& all = mNumbers.numbers;
+        return static_cast<std::uint32_t>(std::lower_bound(all.begin(), all.end(), number) - all.begin());
+    }
+
+    const NpzRows& mRows;
+    const TileNumbers& mNumbers;
+};
+
 void checkLists(const std::string& path, const NeighborLists& lists, const ListForm& form)
 {
     requireKnown(form.values, ListValues::kDistance, "kind of values");
@@ -97,12 +137,22 @@ void writeNpz(const std::string& path, const NeighborLists& lists, const ListFor
 
 void writeNpzPart(const std::string& path, const NeighborLists& lists, const std::vector<std::uint32_t>& rows,
                   const PartOrigin& origin, const ListForm& form, const OutputOptions& options,
-                  Progress* progress)
+                  Progress* progress, const TileNumbers* numbers)
 {
     checkLists(path, lists, form);
     const ListRows all(lists);
-    const NpzPart part{rows, {origin.tile, origin.tiles, origin.input, origin.options, origin.rows}};
-    writeNpzRows(path, ChosenRows(all, rows), form, options, progress, &part);
+    const ChosenRows chosen(all, rows);
+    std::vector<std::uint32_t> renumbered;
+    if (numbers) {
+        for (const std::uint32_t row : rows) renumbered.push_back(numbers->numbers[row]);
+    }
+    const NpzPart part{numbers ? renumbered : rows,
+                       {origin.tile, origin.tiles, origin.input, origin.options, origin.rows}};
+    if (numbers) {
+        writeNpzRows(path, RenumberedRows(chosen, *numbers), form, options, progress, &part);
+    } else {
+        writeNpzRows(path, chosen, form, options, progress, &part);
+    }
 }
 
 } // namespace vdb_nns

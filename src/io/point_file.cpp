@@ -289,6 +289,9 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
                            "'; point files are .vdb .npy .npz .ply .vtk .bgeo .xyz .txt .csv .pts");
     }
     checkChoice(path, array, options);
+    if (options.tile && array)
+        throw InvalidInput(path +
+                           ": only a .vdb has leaves, and so tiles that are read alone; read all points");
     const InputFile file(path);
     data.fileBytes = file.size();
     data.hostMemoryBytes = options.hostMemoryBytes;
@@ -297,7 +300,7 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
     const auto readFile = [&] {
         const CancelCheck cancel(options.progress, "read");
         if (!array) {
-            data.vdb.emplace(file, options.grid, allowedBytes, cancel, data.info);
+            data.vdb.emplace(file, options.grid, options.tile, allowedBytes, cancel, data.info);
             data.view = data.vdb->view();
         } else {
             cancel.update(0);
@@ -320,6 +323,11 @@ PointFile PointFile::read(const std::string& path, const PointFileOptions& optio
 const ParticleView& PointFile::view() const
 {
     return mData->view;
+}
+
+const TileNumbers* PointFile::tileNumbers() const
+{
+    return mData->vdb ? mData->vdb->tileNumbers() : nullptr;
 }
 
 const std::vector<std::string>& PointFile::notes() const

@@ -3,10 +3,12 @@
 
 #include "io/array_readers.h"
 #include "io/vdb/point_reader.h"
+#include "io/vdb/tile_reader.h"
 #include "io/vdb_layout.h"
 #include "points/transform_check.h"
 #include "vdb_nns/error.h"
 
+#include <cmath>
 #include <cstring>
 #include <set>
 #include <utility>
@@ -120,8 +122,8 @@ VdbGridLayout readVdbGridLayout(const ByteSource& file, const VdbDirectory& dire
     return {std::move(header), std::move(layout)};
 }
 
-VdbFile::VdbFile(const ByteSource& file, const std::string& grid, std::uint64_t allowedBytes,
-                 const CancelCheck& cancel, PointFileInfo& info)
+VdbFile::VdbFile(const ByteSource& file, const std::string& grid, const std::optional<TileOfFile>& tile,
+                 std::uint64_t allowedBytes, const CancelCheck& cancel, PointFileInfo& info)
 {
     cancel.update(0);
     const VdbDirectory directory = readVdbDirectory(file);
@@ -133,12 +135,21 @@ VdbFile::VdbFile(const ByteSource& file, const std::string& grid, std::uint64_t 
 
     const VdbPointReader reader(file, layout, part);
     const VdbLeafRange all{0, layout.leaves.size()};
-    checkPointsFit(file.name(), reader.pointBytes(all), allowedBytes);
     GridPoints points;
     points.linear = header.transform.linear;
     points.translation = header.transform.translation;
-    reader.readPoints(all, cancel, points);
     describe(header, layout, info);
+    if (tile) {
+        TileOfFile which = *tile;
+        if (which.radius == 0) which.radius = info.suggestedRadius.value_or(0);
+        if (!(which.radius > 0) || !std::isfinite(which.radius))
+            throw InvalidInput(file.name() +
+                               ": no radius: give -r RADIUS (the file suggests none that is one)");
+        mTile = readTile(reader, layout, file.name(), which, allowedBytes, cancel, points);
+    } else {
+        checkPointsFit(file.name(), reader.pointBytes(all), allowedBytes);
+        reader.readPoints(all, cancel, points);
+    }
     mView = viewOf(std::move(points));
     cancel.update(1);
 }

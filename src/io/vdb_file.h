@@ -9,6 +9,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -18,10 +19,13 @@ class VdbFile {
 public:
     // Reads the chosen grid as PointFile::read() does, and fills in what the format says of it: all but points,
     // nonfinite, bbox and transform. Throws CapacityError where its points take more than `allowedBytes`.
-    VdbFile(const ByteSource& file, const std::string& grid, std::uint64_t allowedBytes,
-            const CancelCheck& cancel, PointFileInfo& info);
+    // `tile`: that alone.
+    VdbFile(const ByteSource& file, const std::string& grid, const std::optional<TileOfFile>& tile,
+            std::uint64_t allowedBytes, const CancelCheck& cancel, PointFileInfo& info);
 
     const ParticleView& view() const { return mView; }
+
+    const TileNumbers* tileNumbers() const { return mTile ? &*mTile : nullptr; }
 
     // Of the file.
     std::size_t chosenGrid() const { return mChosen; }
@@ -45,6 +49,7 @@ private:
     std::size_t mChosen = 0;
     std::string mGridName; // unique in the file
     ParticleView mView;
+    std::optional<TileNumbers> mTile;
 };
 
 // As PointFile::writeVdb(), by OpenVDB, which reads the file again: the grid of that number gets the values.

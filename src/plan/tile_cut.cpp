@@ -1,6 +1,6 @@
 // Cuts particles into tiles. Knows leaves and how many particles they hold; looks at positions only where there are no leaves, in
 // arrays.
-#include "vdb_nns/tiles.h"
+#include "plan/tile_leaves.h"
 
 #include "points/particle_source.h"
 #include "util/cancel.h"
@@ -26,17 +26,6 @@ using LeafCoord = std::array<std::int64_t, 3>; // in leaves
 
 constexpr std::int64_t kEdge = 8;          // of a leaf, in voxels or cells
 constexpr double kBall = 4.18879020478639; // volume of the ball of radius 1, 4 pi / 3
-
-struct Leaf {
-    LeafCoord place;
-    std::uint64_t particles;
-};
-
-// What a leaf is in space, as far as tiles need it.
-struct Shape {
-    double ballsEach = 0;                // volume of the ball of the radius over that of a leaf
-    std::array<std::int64_t, 3> reach{}; // leaves that the radius spans along each axis, rounded up
-};
 
 // The order of a VDB tree: by the nodes of 512^3 leaves, then of 16^3, then leaves; x before y before z in each.
 std::array<LeafCoord, 3> treeOrder(const LeafCoord& leaf)
@@ -64,29 +53,6 @@ std::int64_t boundedFloor(double value)
     return static_cast<std::int64_t>(std::floor(std::min(value, kMost)));
 }
 
-Shape shapeOf(const ParticleSource& source, double radius)
-{
-    const double ball = kBall * radius * radius * radius;
-    Shape shape;
-    if (source.isArray()) {
-        shape.ballsEach = kBall / (kEdge * kEdge * kEdge);
-        shape.reach = {1, 1, 1};
-        return shape;
-    }
-    const Matrix3& m = source.linear();
-    const double volume = std::fabs(determinant(m));
-    shape.ballsEach = ball / (kEdge * kEdge * kEdge * volume);
-    for (std::size_t k = 0; k < 3; ++k) {
-        // |row k of the inverse| = |cross product of the other two columns| / |det|: voxels along axis k per world unit.
-        const std::size_t i = (k + 1) % 3, j = (k + 2) % 3;
-        const double x = m[1][i] * m[2][j] - m[2][i] * m[1][j], y = m[2][i] * m[0][j] - m[0][i] * m[2][j],
-                     z = m[0][i] * m[1][j] - m[1][i] * m[0][j];
-        const double voxels = radius * std::sqrt(x * x + y * y + z * z) / volume;
-        shape.reach[k] = boundedFloor(voxels / kEdge) + 1;
-    }
-    return shape;
-}
-
 std::uint64_t pairsOf(std::uint64_t particles, double ballsEach)
 {
     constexpr double kMost = 9007199254740992.0; // 2^53
@@ -95,9 +61,9 @@ std::uint64_t pairsOf(std::uint64_t particles, double ballsEach)
     return static_cast<std::uint64_t>(std::min(n * (n - 1) * std::min(ballsEach, 1.0), kMost));
 }
 
-std::vector<Leaf> leavesOfGrid(const ParticleSource& source)
+std::vector<TileLeaf> leavesOfGrid(const ParticleSource& source)
 {
-    std::vector<Leaf> leaves(source.fileLeafCount());
+    std::vector<TileLeaf> leaves(source.fileLeafCount());
     for (std::size_t i = 0; i < leaves.size(); ++i) {
         const FileLeaf leaf = source.fileLeaf(i);
         for (std::size_t k = 0; k < 3; ++k) leaves[i].place[k] = leaf.origin[k] >> 3;
@@ -107,8 +73,8 @@ std::vector<Leaf> leavesOfGrid(const ParticleSource& source)
 }
 
 // Also the numbers of the particles, leaf by leaf.
-std::vector<Leaf> leavesOfArray(const ParticleSource& source, double radius, const CancelCheck& cancel,
-                                std::vector<std::uint32_t>& numbers)
+std::vector<TileLeaf> leavesOfArray(const ParticleSource& source, double radius, const CancelCheck& cancel,
+                                    std::vector<std::uint32_t>& numbers)
 {
     struct Placed {
         LeafCoord place;
@@ -130,7 +96,7 @@ std::vector<Leaf> leavesOfArray(const ParticleSource& source, double radius, con
         return treeOrder(a.place) < treeOrder(b.place);
     });
     cancel.check();
-    std::vector<Leaf> leaves;
+    std::vector<TileLeaf> leaves;
     numbers.resize(placed.size());
     for (std::size_t i = 0; i < placed.size(); ++i) {
         if (leaves.empty() || leaves.back().place != placed[i].place) leaves.push_back({placed[i].place, 0});
@@ -140,31 +106,23 @@ std::vector<Leaf> leavesOfArray(const ParticleSource& source, double radius, con
     return leaves;
 }
 
-struct CoordHash {
-    std::size_t operator()(const LeafCoord& c) const
-    {
-        std::uint64_t h = 0;
-        for (const std::int64_t value : c) h = (h ^ static_cast<std::uint64_t>(value)) * 0x9E3779B97F4A7C15u;
-        return static_cast<std::size_t>(h ^ (h >> 32));
-    }
-};
-
 // Particles near each tile, by boxes of leaves as wide as the radius: those of a tile's boxes and of their neighbors that are not its
 // own.
-void findHalos(const std::vector<Leaf>& leaves, const Shape& shape, std::vector<Tile>& tiles)
+void findHalos(const std::vector<TileLeaf>& leaves, const std::array<std::int64_t, 3>& reach,
+               std::vector<Tile>& tiles)
 {
     const auto boxOf = [&](const LeafCoord& leaf) {
         LeafCoord box;
         for (std::size_t k = 0; k < 3; ++k) {
-            const std::int64_t edge = shape.reach[k];
+            const std::int64_t edge = reach[k];
             box[k] = leaf[k] >= 0 ? leaf[k] / edge : -((edge - 1 - leaf[k]) / edge);
         }
         return box;
     };
-    std::unordered_map<LeafCoord, std::uint64_t, CoordHash> particles;
-    for (const Leaf& leaf : leaves) particles[boxOf(leaf.place)] += leaf.particles;
+    std::unordered_map<LeafCoord, std::uint64_t, TileBoxHash> particles;
+    for (const TileLeaf& leaf : leaves) particles[boxOf(leaf.place)] += leaf.particles;
     tbb::parallel_for(std::size_t(0), tiles.size(), [&](std::size_t t) {
-        std::unordered_map<LeafCoord, bool, CoordHash> near; // boxes
+        std::unordered_map<LeafCoord, bool, TileBoxHash> near; // boxes
         Tile& tile = tiles[t];
         for (std::uint64_t i = tile.firstLeaf; i < tile.endLeaf; ++i) {
             const LeafCoord box = boxOf(leaves[static_cast<std::size_t>(i)].place);
@@ -183,6 +141,49 @@ void findHalos(const std::vector<Leaf>& leaves, const Shape& shape, std::vector<
 
 } // namespace
 
+TileGeometry tileGeometry(const Matrix3& m, double radius)
+{
+    // What rounding may take from a product of nearly parallel vectors.
+    constexpr double kLeast = 1e-6, kMargin = 1 + 1e-6;
+    TileGeometry geometry;
+    const double volume = std::fabs(determinant(m));
+    geometry.ballsEach = kBall * radius * radius * radius / (kEdge * kEdge * kEdge * volume);
+    double edges = 1; // product of the lengths of the columns
+    for (std::size_t k = 0; k < 3; ++k)
+        edges *= std::sqrt(m[0][k] * m[0][k] + m[1][k] * m[1][k] + m[2][k] * m[2][k]);
+    geometry.isReliable = volume >= kLeast * edges;
+    for (std::size_t k = 0; k < 3; ++k) {
+        // |row k of the inverse| = |cross product of the other two columns| / |det|: voxels along axis k a world unit.
+        const std::size_t i = (k + 1) % 3, j = (k + 2) % 3;
+        const double x = m[1][i] * m[2][j] - m[2][i] * m[1][j], y = m[2][i] * m[0][j] - m[0][i] * m[2][j],
+                     z = m[0][i] * m[1][j] - m[1][i] * m[0][j];
+        geometry.voxels[k] = kMargin * radius * std::sqrt(x * x + y * y + z * z) / volume;
+        geometry.isReliable = geometry.isReliable && std::isfinite(geometry.voxels[k]);
+    }
+    return geometry;
+}
+
+void cutLeaves(const std::vector<TileLeaf>& leaves, double ballsEach, std::vector<Tile>& tiles)
+{
+    unsigned __int128 total = 0, before = 0;
+    for (const TileLeaf& leaf : leaves) total += leaf.particles + pairsOf(leaf.particles, ballsEach);
+    std::size_t next = 0;
+    for (std::size_t t = 0; t < tiles.size(); ++t) {
+        Tile& tile = tiles[t];
+        tile.firstLeaf = next;
+        // Leaves whose middle is before the end of the tile's share.
+        for (; next < leaves.size(); ++next) {
+            const std::uint64_t pairs = pairsOf(leaves[next].particles, ballsEach);
+            const unsigned __int128 work = leaves[next].particles + pairs;
+            if (t + 1 < tiles.size() && (2 * before + work) * tiles.size() >= 2 * total * (t + 1)) break;
+            before += work;
+            tile.particles += leaves[next].particles;
+            tile.expectedPairs += pairs;
+        }
+        tile.endLeaf = next;
+    }
+}
+
 TileCut::TileCut(const ParticleView& view, double radius, std::uint32_t tiles, Progress* progress)
 {
     constexpr std::uint64_t kGridBytes = 24, kRowBytes = 16,
@@ -194,29 +195,20 @@ TileCut::TileCut(const ParticleView& view, double radius, std::uint32_t tiles, P
     const CancelCheck cancel(progress, "tiles");
     const ParticleSource& source = view.source();
     isolatedIeee([&] {
-        const std::vector<Leaf> leaves =
+        const std::vector<TileLeaf> leaves =
             source.isArray() ? leavesOfArray(source, radius, cancel, mNumbers) : leavesOfGrid(source);
-        const Shape shape = shapeOf(source, radius);
-        unsigned __int128 total = 0, before = 0;
-        for (const Leaf& leaf : leaves) total += leaf.particles + pairsOf(leaf.particles, shape.ballsEach);
-        mTiles.resize(tiles);
-        std::size_t next = 0;
-        for (std::uint32_t t = 0; t < tiles; ++t) {
-            Tile& tile = mTiles[t];
-            tile.firstLeaf = next;
-            // Leaves whose middle is before the end of the tile's share.
-            for (; next < leaves.size(); ++next) {
-                const std::uint64_t pairs = pairsOf(leaves[next].particles, shape.ballsEach);
-                const unsigned __int128 work = leaves[next].particles + pairs;
-                if (t + 1 < tiles && (2 * before + work) * tiles >= 2 * total * (t + 1)) break;
-                before += work;
-                tile.particles += leaves[next].particles;
-                tile.expectedPairs += pairs;
-            }
-            tile.endLeaf = next;
+        std::array<std::int64_t, 3> reach{1, 1,
+                                          1}; // leaves that the radius spans along each axis, rounded up
+        double ballsEach = kBall / (kEdge * kEdge * kEdge);
+        if (!source.isArray()) {
+            const TileGeometry geometry = tileGeometry(source.linear(), radius);
+            ballsEach = geometry.ballsEach;
+            for (std::size_t k = 0; k < 3; ++k) reach[k] = boundedFloor(geometry.voxels[k] / kEdge) + 1;
         }
+        mTiles.resize(tiles);
+        cutLeaves(leaves, ballsEach, mTiles);
         cancel.check();
-        findHalos(leaves, shape, mTiles);
+        findHalos(leaves, reach, mTiles);
     });
     mBegins.push_back(0);
     for (Tile& tile : mTiles) {

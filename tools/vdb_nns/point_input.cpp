@@ -34,8 +34,10 @@ PointFile readPoints(const InputFlags& input, const PointNeeds& needs, const Pro
 {
     span.printer.begin("read", span.begin, span.end);
     const Stopwatch watch;
-    PointFile file = PointFile::read(
-        input.path, pointFileOptions(input, bytesForReading(needs.hostMemoryBytes), &span.printer));
+    PointFileOptions options = pointFileOptions(input, bytesForReading(needs.hostMemoryBytes), &span.printer);
+    options.tile = needs.tile;
+    if (options.tile && !input.radius.empty()) options.tile->radius = parsePositive(input.radius, "--radius");
+    PointFile file = PointFile::read(input.path, options);
     if (!needs.quiet) {
         for (const std::string& note : file.notes()) say(input.path + ": " + note);
     }

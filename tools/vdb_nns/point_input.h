@@ -14,9 +14,10 @@ struct PointNeeds {
     bool info;          ///< the report says what is in the file, which costs a pass
     bool failNonfinite; ///< --nonfinite fail
     bool quiet;
-    std::uint64_t hostMemoryBytes; ///< --host-memory; 0: no bound
-    bool hasRadii = false;         ///< points have radii of their own, so that no other is needed
-    bool tellsRadius = true;       ///< that the file suggests, on stderr
+    std::uint64_t hostMemoryBytes;       ///< --host-memory; 0: no bound
+    bool hasRadii = false;               ///< points have radii of their own, so that no other is needed
+    std::optional<TileOfFile> tile = {}; ///< of IN, whose radius is filled in; all else is not read
+    bool tellsRadius = true;             ///< that the file suggests, on stderr
 };
 
 /// Reads the file; fills what report and session say of it: path, info, radius, seconds.

@@ -73,6 +73,11 @@ void checkTile(const SearchFlags& flags, SearchPlan& plan)
         throw InvalidInput("--tile makes lists, in an .npz, and no attributes of points; leave --attributes, "
                            "--attributes-output and outputs that are no .npz out");
     if (flags.outputs.size() > 1) throw InvalidInput("--tile writes one part; give one -o PART.npz");
+    // What is asked of all points, or of another file, takes all of them.
+    const QueryFlags& query = flags.query;
+    plan.readsTileAlone = extensionOf(flags.input.path) == ".vdb" && !plan.query.hasQueries &&
+                          !plan.query.hasRadii && query.queryGroup.empty() && query.candidateGroup.empty() &&
+                          flags.nonfinite != "fail";
     plan.query.hasRoles = true; // the rows are those of some points
 }
 

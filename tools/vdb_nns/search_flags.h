@@ -49,6 +49,7 @@ struct SearchPlan {
     AttributeOutputs attributes;
     std::optional<double> voxelSize; // of a new .vdb; else the radius
     std::optional<TileChoice> tile;
+    bool readsTileAlone = false; ///< and what is around it
     int threads = 0;
     std::uint64_t repeat = 1;
 

@@ -13,6 +13,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <utility>
 
 namespace vdb_nns::cli {
@@ -79,6 +80,7 @@ void SearchRun::read(ProgressPrinter& progress)
     const CommonFlags& common = mFlags.common;
     PointNeeds needs{!common.json.empty(), mFlags.nonfinite == "fail", common.quiet,
                      mOptions.search.hostMemoryBytes, mPlan.query.hasRadii};
+    if (mPlan.readsTileAlone) needs.tile = TileOfFile{mPlan.tile->tile, mPlan.tile->tiles};
     needs.tellsRadius = mFlags.frames.empty(); // the line of a frame has it
     mInput = readQuerySets(mFlags.input, mFlags.query, mPlan.query, needs, {progress, 0, kReadShare},
                            mSession, mReport);
@@ -104,8 +106,13 @@ void SearchRun::read(ProgressPrinter& progress)
 void SearchRun::chooseTile(ProgressPrinter& progress)
 {
     const ParticleView& rows = rowsOf(mInput).view();
-    const TileCut cut(rows, mInput.largestRadius(mReport.radius), mPlan.tile->tiles, &progress);
-    mTileRows = cut.particles(mPlan.tile->tile - 1);
+    if (const TileNumbers* tile = mInput.candidates.tileNumbers()) {
+        mTileRows.resize(tile->end - tile->begin);
+        std::iota(mTileRows.begin(), mTileRows.end(), static_cast<std::uint32_t>(tile->begin));
+    } else {
+        const TileCut cut(rows, mInput.largestRadius(mReport.radius), mPlan.tile->tiles, &progress);
+        mTileRows = cut.particles(mPlan.tile->tile - 1);
+    }
     std::vector<std::uint8_t> chosen(rows.size());
     for (const std::uint32_t row : mTileRows) {
         chosen[row] = mInput.queryChosen.empty() || mInput.queryChosen[row] != 0;
@@ -119,14 +126,15 @@ void SearchRun::writePart(const std::string& path, ProgressPrinter& progress)
     PartOrigin origin;
     origin.tile = mPlan.tile->tile;
     origin.tiles = mPlan.tile->tiles;
-    origin.rows = mLists.size();
+    const TileNumbers* const numbers = mInput.candidates.tileNumbers();
+    origin.rows = numbers ? numbers->total : mLists.size();
     std::vector<std::string> files = queryFiles(mFlags.query);
     files.push_back(mFlags.input.path);
     for (const std::string& file : files) origin.input = mix64(origin.input) ^ hashFile(file, &progress);
     const std::string options = optionsText(mFlags) + shortest(mInput.largestRadius(mReport.radius));
     for (const char c : options) origin.options = mix64(origin.options ^ static_cast<unsigned char>(c));
     writeNpzPart(path, mLists, mTileRows, origin, listForm(mFlags, mPlan), outputOptions(mFlags.common),
-                 &progress);
+                 &progress, numbers);
 }
 
 // The job, as often as is asked for with buffers kept; the last lists stay.
@@ -174,6 +182,8 @@ void SearchRun::fillReport()
 {
     if (mPlan.query.hasRadii) mReport.radius = mLists.sets().radius();
     fillGridReport(mLists.sets(), mJob.settled.search, mReport);
+    if (const TileNumbers* tile = mInput.candidates.tileNumbers())
+        mReport.points = mReport.rows = tile->total;
     mReport.listBytes = mLists.bytes();
     mReport.encoding = mJob.streamed ? Encoding::kIndex : mLists.encoding();
     mReport.straightToFile = mJob.streamed;
