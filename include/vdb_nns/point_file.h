@@ -115,6 +115,10 @@ public:
     /// What a view of a tile alone has; null where all points were read.
     const TileNumbers* tileNumbers() const;
 
+    /// PointFileInfo::grid and PointFileInfo::taken, without the pass over the positions that info() makes.
+    const std::string& grid() const;
+    const std::string& taken() const;
+
     /// PointFileInfo::notes, without the pass over the positions that info() makes.
     const std::vector<std::string>& notes() const;
 

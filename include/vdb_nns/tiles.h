@@ -21,13 +21,13 @@ struct Tile {
     std::uint64_t expectedPairs = 0;
     /// Particles of other tiles that may be within the radius: at most so many, by where their leaves are.
     std::uint64_t haloParticles = 0;
-    /// Host memory that the search of the tile takes beside the particles of the view: grid and index lists, as expected.
+    /// Host memory that the search of the tile takes beside the particles, about: its grid and index lists, as expected.
     std::uint64_t bytes = 0;
 };
 
 /// Divides the particles of a view into tiles of about equal work, at leaves: those of a VDB grid are its own; those of an array
 /// are of 8^3 cells of the radius. The work of a leaf is that of its particles and of the pairs that they would have if they were
-/// spread evenly over the leaf: known without looking at a position of a grid. The tiles depend on the view, the radius and
+/// spread evenly over the leaf, or over as many leaves as the radius spans: known without looking at a position of a grid. The tiles depend on the view, the radius and
 /// their number alone.
 /// Cost: a pass over the leaves; of an array a sort of its particles. Memory: 32 bytes a leaf; of an array 32 a particle while it is
 /// sorted, then 4.
@@ -74,7 +74,8 @@ struct MergedParts {
 };
 
 /// Writes the file that one search would have written from the parts of all tiles, in any order. Every byte of a part is checked.
-/// Cost: reads each part twice. Memory: 16 bytes a row, 64 MiB a thread.
+/// Cost: reads each part twice, all of which are open at once. Memory: 16 bytes a row; for each thread 64 MiB, or 8 KiB a part if that is
+/// more.
 /// @throws InputError for a file that is no part, or a damaged one; for parts of different searches; for a part that is missing or
 ///         there twice, with its number; OutputExists, OutputError, Cancelled
 MergedParts mergeNpzParts(const std::vector<std::string>& parts, const std::string& path,

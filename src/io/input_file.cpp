@@ -61,8 +61,10 @@ void InputFile::readAt(std::uint64_t offset, void* out, std::size_t bytes) const
 
 void InputFile::fail(int error) const
 {
+    const bool hasTooMany = error == EMFILE || error == ENFILE;
     throw InputError(mName + ": cannot be read: " + std::strerror(error) +
-                     "; check the name and the permissions");
+                     (hasTooMany ? "; allow the process more of them (ulimit -n)"
+                                 : "; check the name and the permissions"));
 }
 
 } // namespace vdb_nns

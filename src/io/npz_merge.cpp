@@ -13,6 +13,7 @@
 #include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cstring>
 #include <limits>
 #include <memory>
@@ -71,18 +72,19 @@ public:
     }
 
     // Of every member against its values.
-    void checkSums(const CancelCheck& cancel) const
+    template <typename F>
+    void checkSums(const F& tellBytes) const
     {
         std::vector<unsigned char> piece;
         for (std::size_t i = 0; i < mLayout.count; ++i) {
             const NpzMember& each = mLayout.members[i];
             std::uint32_t crc = crcOf(0, each.npyHeader.data(), each.npyHeader.size());
             for (std::uint64_t begin = 0; begin < each.valueBytes; begin += kPieceBytes) {
-                cancel.check();
                 piece.resize(
                     static_cast<std::size_t>(std::min<std::uint64_t>(kPieceBytes, each.valueBytes - begin)));
                 mFile.readAt(each.valueOffset + begin, piece.data(), piece.size());
                 crc = crcOf(crc, piece.data(), piece.size());
+                tellBytes(piece.size());
             }
             if (crc != each.crc) fail("the checksum of its array '" + each.name + "'");
         }
@@ -211,17 +213,24 @@ void checkTogether(const Parts& parts)
                              what + "; merge the parts of one search");
         if (b.tile > byTile.size()) continue; // so that one is missing
         const PartFile*& place = byTile[b.tile - 1];
+        if (place && place->name() == part->name())
+            throw InputError(part->name() + ": is given twice; give each part once");
         if (place)
             throw InputError(part->name() + ": is tile " + std::to_string(b.tile) + " of " +
                              std::to_string(b.tiles) + ", and so is " + place->name() +
                              "; give each part once");
         place = part.get();
     }
+    std::uint64_t rows = 0;
+    for (const auto& part : parts) rows += part->rows();
     const auto missing = std::find(byTile.begin(), byTile.end(), nullptr);
-    if (missing == byTile.end() && byTile.size() == first.origin().tiles) return;
-    throw InputError(first.name() + ": of its search tile " + std::to_string(missing - byTile.begin() + 1) +
-                     " of " + std::to_string(first.origin().tiles) +
-                     " is missing; give the parts of all tiles");
+    if (missing == byTile.end() && byTile.size() == first.origin().tiles) {
+        if (rows != first.origin().rows) first.fail("the number of rows of all parts");
+        return;
+    }
+    throw InputError(first.name() + ": tile " + std::to_string(missing - byTile.begin() + 1) + " of " +
+                     std::to_string(first.origin().tiles) +
+                     " of its search is missing; give the parts of all tiles");
 }
 
 class MergedRows final : public NpzRows {
@@ -314,7 +323,12 @@ private:
             const unsigned char* values = indices[p].at(part, NpzLayout::kIndices, rows.mPlaces[wanted],
                                                         count, indexBytes, windowBytes);
             numbers.resize(count);
-            for (std::size_t k = 0; k < count; ++k, values += indexBytes) std::memcpy(&numbers[k], values, 4);
+            for (std::size_t k = 0; k < count; ++k, values += indexBytes) {
+                std::uint64_t number = 0;
+                std::memcpy(&number, values, indexBytes);
+                if (number >= part.columns()) part.fail("a number in its array 'indices'");
+                numbers[k] = static_cast<std::uint32_t>(number);
+            }
             if (part.values() == ListValues::kDistance) {
                 values = data[p].at(part, NpzLayout::kData, rows.mPlaces[wanted], count, sizeof(float),
                                     windowBytes);
@@ -381,9 +395,15 @@ MergedParts mergeNpzParts(const std::vector<std::string>& paths, const std::stri
             parts.push_back(std::make_unique<PartFile>(each));
         }
         checkTogether(parts);
-        tbb::parallel_for(std::size_t(0), parts.size(), [&](std::size_t p) { parts[p]->checkSums(cancel); });
+        std::uint64_t all = 1;
+        for (const auto& part : parts) all += part->bytes();
+        std::atomic<std::uint64_t> done{0};
+        tbb::parallel_for(std::size_t(0), parts.size(), [&](std::size_t p) {
+            parts[p]->checkSums([&](std::size_t bytes) {
+                cancel.update(static_cast<double>(done += bytes) / static_cast<double>(all));
+            });
+        });
         const MergedRows rows(parts, cancel);
-        cancel.update(1);
         result = {rows.size(), rows.columnCount(), rows.pairCount()};
         writeNpzRows(path, rows, {parts.front()->values(), RowOrder::kDistance}, options, progress);
     });

@@ -330,6 +330,16 @@ const TileNumbers* PointFile::tileNumbers() const
     return mData->vdb ? mData->vdb->tileNumbers() : nullptr;
 }
 
+const std::string& PointFile::grid() const
+{
+    return mData->info.grid;
+}
+
+const std::string& PointFile::taken() const
+{
+    return mData->info.taken;
+}
+
 const std::vector<std::string>& PointFile::notes() const
 {
     return mData->info.notes;

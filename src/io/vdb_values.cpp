@@ -184,6 +184,9 @@ VdbFile::Reopened VdbFile::reopen(const ByteSource& file, const CancelCheck& can
             file.name() + ": " + gridText(mGridName) +
             " has changed since its points were read; start again once nobody writes it any more");
     };
+    if (mTile)
+        throw InvalidInput(file.name() +
+                           ": values of the points of a tile alone are not read; read all points");
     cancel.update(0);
     const VdbDirectory directory = readVdbDirectory(file);
     check(mChosen < directory.entries.size() && directory.entries[mChosen].uniqueName == mGridName &&

@@ -53,12 +53,30 @@ std::int64_t boundedFloor(double value)
     return static_cast<std::int64_t>(std::floor(std::min(value, kMost)));
 }
 
-std::uint64_t pairsOf(std::uint64_t particles, double ballsEach)
+// The box of leaves that a leaf is in.
+TileBox boxOf(const LeafCoord& leaf, const std::array<std::int64_t, 3>& reach)
+{
+    TileBox box{};
+    for (std::size_t k = 0; k < 3; ++k)
+        box[k] = leaf[k] >= 0 ? leaf[k] / reach[k] : -((reach[k] - 1 - leaf[k]) / reach[k]);
+    return box;
+}
+
+using BoxCounts = std::unordered_map<TileBox, std::uint64_t, TileBoxHash>;
+
+BoxCounts countBoxes(const std::vector<TileLeaf>& leaves, const std::array<std::int64_t, 3>& reach)
+{
+    BoxCounts particles;
+    for (const TileLeaf& leaf : leaves) particles[boxOf(leaf.place, reach)] += leaf.particles;
+    return particles;
+}
+
+// Of the particles of a leaf, in whose box there are so many.
+std::uint64_t pairsOf(std::uint64_t particles, std::uint64_t inBox, double ballsEach)
 {
     constexpr double kMost = 9007199254740992.0; // 2^53
-    if (particles == 0) return 0;
-    const double n = static_cast<double>(particles);
-    return static_cast<std::uint64_t>(std::min(n * (n - 1) * std::min(ballsEach, 1.0), kMost));
+    const double pairs = static_cast<double>(particles) * (static_cast<double>(inBox) - 1);
+    return static_cast<std::uint64_t>(std::min(std::max(pairs * std::min(ballsEach, 1.0), 0.0), kMost));
 }
 
 std::vector<TileLeaf> leavesOfGrid(const ParticleSource& source)
@@ -111,21 +129,12 @@ std::vector<TileLeaf> leavesOfArray(const ParticleSource& source, double radius,
 void findHalos(const std::vector<TileLeaf>& leaves, const std::array<std::int64_t, 3>& reach,
                std::vector<Tile>& tiles)
 {
-    const auto boxOf = [&](const LeafCoord& leaf) {
-        LeafCoord box;
-        for (std::size_t k = 0; k < 3; ++k) {
-            const std::int64_t edge = reach[k];
-            box[k] = leaf[k] >= 0 ? leaf[k] / edge : -((edge - 1 - leaf[k]) / edge);
-        }
-        return box;
-    };
-    std::unordered_map<LeafCoord, std::uint64_t, TileBoxHash> particles;
-    for (const TileLeaf& leaf : leaves) particles[boxOf(leaf.place)] += leaf.particles;
+    const BoxCounts particles = countBoxes(leaves, reach);
     tbb::parallel_for(std::size_t(0), tiles.size(), [&](std::size_t t) {
         std::unordered_map<LeafCoord, bool, TileBoxHash> near; // boxes
         Tile& tile = tiles[t];
         for (std::uint64_t i = tile.firstLeaf; i < tile.endLeaf; ++i) {
-            const LeafCoord box = boxOf(leaves[static_cast<std::size_t>(i)].place);
+            const TileBox box = boxOf(leaves[static_cast<std::size_t>(i)].place, reach);
             if (!near.emplace(box, true).second && near[box]) continue;
             near[box] = true;
             for (int n = 0; n < 27; ++n) {
@@ -147,7 +156,7 @@ TileGeometry tileGeometry(const Matrix3& m, double radius)
     constexpr double kLeast = 1e-6, kMargin = 1 + 1e-6;
     TileGeometry geometry;
     const double volume = std::fabs(determinant(m));
-    geometry.ballsEach = kBall * radius * radius * radius / (kEdge * kEdge * kEdge * volume);
+    double boxVolume = kEdge * kEdge * kEdge * volume;
     double edges = 1; // product of the lengths of the columns
     for (std::size_t k = 0; k < 3; ++k)
         edges *= std::sqrt(m[0][k] * m[0][k] + m[1][k] * m[1][k] + m[2][k] * m[2][k]);
@@ -159,26 +168,34 @@ TileGeometry tileGeometry(const Matrix3& m, double radius)
                      z = m[0][i] * m[1][j] - m[1][i] * m[0][j];
         geometry.voxels[k] = kMargin * radius * std::sqrt(x * x + y * y + z * z) / volume;
         geometry.isReliable = geometry.isReliable && std::isfinite(geometry.voxels[k]);
+        geometry.reach[k] = boundedFloor(geometry.voxels[k] / kEdge) + 1;
+        boxVolume *= static_cast<double>(geometry.reach[k]);
     }
+    geometry.ballsEach = kBall * radius * radius * radius / boxVolume;
     return geometry;
 }
 
-void cutLeaves(const std::vector<TileLeaf>& leaves, double ballsEach, std::vector<Tile>& tiles)
+void cutLeaves(const std::vector<TileLeaf>& leaves, const TileGeometry& geometry, std::vector<Tile>& tiles)
 {
+    const BoxCounts counts = countBoxes(leaves, geometry.reach);
+    std::vector<std::uint64_t> pairs(leaves.size());
     unsigned __int128 total = 0, before = 0;
-    for (const TileLeaf& leaf : leaves) total += leaf.particles + pairsOf(leaf.particles, ballsEach);
+    for (std::size_t i = 0; i < leaves.size(); ++i) {
+        const std::uint64_t inBox = counts.at(boxOf(leaves[i].place, geometry.reach));
+        pairs[i] = pairsOf(leaves[i].particles, inBox, geometry.ballsEach);
+        total += leaves[i].particles + pairs[i];
+    }
     std::size_t next = 0;
     for (std::size_t t = 0; t < tiles.size(); ++t) {
         Tile& tile = tiles[t];
         tile.firstLeaf = next;
         // Leaves whose middle is before the end of the tile's share.
         for (; next < leaves.size(); ++next) {
-            const std::uint64_t pairs = pairsOf(leaves[next].particles, ballsEach);
-            const unsigned __int128 work = leaves[next].particles + pairs;
+            const unsigned __int128 work = leaves[next].particles + pairs[next];
             if (t + 1 < tiles.size() && (2 * before + work) * tiles.size() >= 2 * total * (t + 1)) break;
             before += work;
             tile.particles += leaves[next].particles;
-            tile.expectedPairs += pairs;
+            tile.expectedPairs += pairs[next];
         }
         tile.endLeaf = next;
     }
@@ -197,18 +214,13 @@ TileCut::TileCut(const ParticleView& view, double radius, std::uint32_t tiles, P
     isolatedIeee([&] {
         const std::vector<TileLeaf> leaves =
             source.isArray() ? leavesOfArray(source, radius, cancel, mNumbers) : leavesOfGrid(source);
-        std::array<std::int64_t, 3> reach{1, 1,
-                                          1}; // leaves that the radius spans along each axis, rounded up
-        double ballsEach = kBall / (kEdge * kEdge * kEdge);
-        if (!source.isArray()) {
-            const TileGeometry geometry = tileGeometry(source.linear(), radius);
-            ballsEach = geometry.ballsEach;
-            for (std::size_t k = 0; k < 3; ++k) reach[k] = boundedFloor(geometry.voxels[k] / kEdge) + 1;
-        }
+        TileGeometry geometry; // of an array, whose leaves have an edge of 8 radii
+        geometry.ballsEach = kBall / (kEdge * kEdge * kEdge);
+        if (!source.isArray()) geometry = tileGeometry(source.linear(), radius);
         mTiles.resize(tiles);
-        cutLeaves(leaves, ballsEach, mTiles);
+        cutLeaves(leaves, geometry, mTiles);
         cancel.check();
-        findHalos(leaves, reach, mTiles);
+        findHalos(leaves, geometry.reach, mTiles);
     });
     mBegins.push_back(0);
     for (Tile& tile : mTiles) {

@@ -17,14 +17,16 @@ struct TileLeaf {
 
 // How a radius looks from the voxels of a grid.
 struct TileGeometry {
-    double ballsEach = 0;           // volume of the ball of the radius over that of a leaf
     std::array<double, 3> voxels{}; // that the ball spans along each axis, from its middle; rounded up
-    bool isReliable = true;         // whether those could be worked out; a matrix may be next to singular
+    std::array<std::int64_t, 3> reach{1, 1, 1}; // the same in leaves
+    double ballsEach = 0;   // volume of the ball of the radius over that of a box of so many leaves
+    bool isReliable = true; // whether those could be worked out; a matrix may be next to singular
 };
 TileGeometry tileGeometry(const Matrix3& linear, double radius);
 
-// Fills firstLeaf, endLeaf, particles and expectedPairs of as many tiles as there are.
-void cutLeaves(const std::vector<TileLeaf>& leaves, double ballsEach, std::vector<Tile>& tiles);
+// Fills firstLeaf, endLeaf, particles and expectedPairs of as many tiles as there are. A particle is expected to have the neighbors that
+// it would have if those of its box of `reach` leaves were spread evenly over the box.
+void cutLeaves(const std::vector<TileLeaf>& leaves, const TileGeometry& geometry, std::vector<Tile>& tiles);
 
 // A box of leaves, of one edge along each axis.
 using TileBox = std::array<std::int64_t, 3>;

@@ -57,6 +57,11 @@ class Frames(CliCase):
         np.save(self.path("m0.npy"), np.zeros((2, 3)))
         report = self.report("search", self.path("m#.npy"), "-r", "1", "--frames", "-2-0x2")
         self.assertEqual([frame["frame"] for frame in report["frames"]], [-2, 0])
+        # Other signs in folders are names where the file has a place.
+        os.mkdir(self.path("shot#3"))
+        np.save(self.path("shot#3/p1$FF.npy"), np.zeros((2, 3)))
+        self.succeeds("search", self.path("shot#3/p#$FF.npy"), "-r", "1", "--frames", "1", "-o", self.path("shot#3/l#.npz"), "-q")
+        self.assertTrue(os.path.exists(self.path("shot#3/l1.npz")))
         # A folder may have the number, too; and without --frames such a name is a name.
         os.mkdir(self.path("f007"))
         os.rename(self.path("m0.npy"), self.path("f007/m#.npy"))
@@ -139,6 +144,54 @@ class Frames(CliCase):
             self.assertEqual(self.bytes(self.path(f"a.000{n}.npz")), first[f"a.000{n}.npz"])
         self.assertIn("3 were there", self.succeeds(*command, "--skip-existing").out)
 
+    def test_skip_existing_loses_nothing(self):
+        """What is there stays as it is, input and report among it; what is missing is made, and flags are checked all the same."""
+        pattern = self.frames(1, 2)
+        inputs = [self.bytes(self.path(f"in.000{n}.vdb")) for n in (1, 2)]
+        command = ["search", pattern, "--frames", "1-2", "-o", pattern, "-o", self.path("out.####.npz"), "--attributes",
+                   "density", "--kernel", "poly6", "--skip-existing", "--json", self.path("r.json")]
+        for made in (2, 0):
+            self.succeeds(*command)
+            with open(self.path("r.json")) as file:
+                self.assertEqual(json.load(file)["made"], made)
+            self.assertEqual([self.bytes(self.path(f"in.000{n}.vdb")) for n in (1, 2)], inputs)
+            self.assertEqual(self.names("out."), ["out.0001.npz", "out.0002.npz"])
+        self.fails(2, *command, "-r", "-5", says="--radius")
+        # An attribute that exists is not replaced either.
+        self.succeeds("search", self.path("in.0001.vdb"), "-o", self.path("has.0001.vdb"), "-q")
+        self.fails(2, "search", self.path("has.0001.vdb"), "-o", self.path("x.vdb"), says="nns_count")
+        done = cli_case.run("search", self.path("has.####.vdb"), "--frames", "1", "-o", self.path("y.####.vdb"), "-o",
+                            self.path("out.####.npz"), "--skip-existing")
+        self.assertEqual(done.code, 2)
+        self.assertIn("nns_count", done.err)
+
+    def test_summary_that_cannot_be_written(self):
+        """The frames are made; the program says so once."""
+        self.frames(1, 2, 3)
+        with open("/dev/full", "w") as full:
+            done = subprocess.run([cli_case.BINARY, "search", self.path("in.####.vdb"), "--frames", "1-3", "-o",
+                                   self.path("out.####.npz"), "--json", self.path("r.json")], stdout=full, stderr=subprocess.PIPE, text=True)
+        self.assertEqual(done.returncode, 6)
+        self.assertEqual(done.stderr.count("error"), 1, done.stderr)
+        self.assertEqual(len(self.names("out.")), 3)
+        with open(self.path("r.json")) as file:
+            self.assertEqual(json.load(file)["made"], 3)
+
+    def test_memory_of_each_frame(self):
+        """A bound that suffices for one frame suffices for every one."""
+        path = self.scene("block", 300000)
+        for n in range(1, 5):
+            os.link(path, self.path(f"in.{n}.vdb"))
+        for bound in range(80, 130, 4):
+            single = cli_case.run("search", path, "--host-memory", f"{bound}MB", "-o", self.path("one.npz"), "-q", "-f")
+            if single.code == 0:
+                break
+        # The first bound that suffices, and some for what differs from run to run.
+        self.succeeds("search", self.path("in.#.vdb"), "--frames", "1-4", "--host-memory", f"{bound + 6}MB", "-o",
+                      self.path("out.#.npz"), "-q")
+        for n in range(1, 5):
+            self.assertEqual(self.bytes(self.path(f"out.{n}.npz")), self.bytes(self.path("one.npz")))
+
     def test_refused(self):
         pattern = self.frames(1, 2)
         one = self.path("in.0001.vdb")
@@ -146,7 +199,7 @@ class Frames(CliCase):
         self.fails(2, "search", one, "--frames", "1-2", says=[one, "place for the number"])
         self.fails(2, "search", pattern, "--frames", "1-2", "-o", self.path("x.npz"), says=[self.path("x.npz"), "every frame"])
         self.fails(2, "search", pattern, "--frames", "1-2", "--attributes-output", self.path("x.npz"), says=self.path("x.npz"))
-        for frames in ("2-1", "1-2x0", "a", "1-", "1,,2", "1-2,2", "1-2x", "", "1 - 2", "1-100001", "12345678901"):
+        for frames in ("2-1", "1-2x0", "a", "1-", "1,,2", "1-2,2", "1-2x", "", "1 - 2", "1-100001", "12345678901", "1-12345678901"):
             self.fails(2, "search", pattern, "--frames", frames, "-o", out, says="--frames")
         self.fails(2, "search", pattern, "--skip-existing", says="--frames")
         self.fails(2, "search", one, "--skip-existing", says="--frames")

@@ -37,6 +37,12 @@ class Tiles(CliCase):
     def test_bytes_of_one_search(self):
         for scene in ("lattice", "clusters", "spray", "far", "coincident", "outlier", "dam_break"):
             self.same(7, "search", self.scene(scene, 4000))
+        # Points far out of their voxels, in leaves that seem far; NaN; one of two grids.
+        for radius in ("0.5", "3", "40"):
+            self.same(5, "search", self.fixture("affine.vdb"), "-r", radius, "--lists", "distance")
+        self.same(3, "search", self.fixture("nonfinite.vdb"), "-r", "2")
+        self.same(3, "search", self.fixture("two_grids.vdb"), "-g", "first", "-r", "2")
+        self.same(2, "search", self.fixture("empty.vdb"), "-r", "2")
         path = self.scene("block", 5000)
         for tiles in (1, 2, 40):
             self.same(tiles, "search", path)
@@ -95,6 +101,40 @@ class Tiles(CliCase):
         pairs = sum(self.report("search", path, "--tile", f"{k}/3")["result"]["pairs"] for k in (1, 2, 3))
         self.assertEqual(pairs, whole.nnz)
 
+    def test_a_tile_is_read_alone(self):
+        """Of a .vdb, in memory for what is around it; where other points are asked for, all are read. The same bytes either way."""
+        path = self.scene("block", 2000000)
+        whole = self.report("search", path, "--encoding", "index")
+        part = self.report("search", path, "--tile", "1/16", "-o", self.path("alone.npz"))
+        self.assertEqual(part["input"]["points"], 2000000)
+        self.assertLess(part["memory"]["peak_rss_bytes"], whole["memory"]["peak_rss_bytes"] / 2)
+        self.assertLess(part["memory"]["list_bytes"], whole["memory"]["list_bytes"] / 8)
+        self.succeeds("search", path, "--tile", "1/16", "--nonfinite", "fail", "-o", self.path("all.npz"), "-q")
+        self.assertEqual(self.bytes(self.path("alone.npz")), self.bytes(self.path("all.npz")))
+
+    def test_equal_searches_go_together(self):
+        """However their flags are written."""
+        path = self.scene("block", 2000)
+        radius = repr(self.report("info", path)["suggested_radius"])
+        command = ["search", path, "--nearest"]
+        self.succeeds(*command, "5", "--tile", "1/3", "-o", self.path("p1.npz"), "-q")
+        self.succeeds(*command, "05", "--tile", "2/3", "-o", self.path("p2.npz"), "-q", "-g", "points", "-r", radius)
+        self.succeeds(*command, "5", "--tile", "3/3", "-o", self.path("p3.npz"), "-q", "-T", "1", "--nonfinite", "fail")
+        self.succeeds("merge", *[self.path(f"p{k}.npz") for k in (3, 1, 2)], "-o", self.path("all.npz"), "-q")
+        self.succeeds(*command, "5", "-o", self.path("one.npz"), "-q")
+        self.assertEqual(self.bytes(self.path("all.npz")), self.bytes(self.path("one.npz")))
+
+    def test_many_parts(self):
+        """More than files may be open, until the program asks for more."""
+        import resource
+        path = self.scene("spray", 3000)
+        paths = self.parts(80, "search", path)
+        hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+        self.succeeds("merge", *paths, "-o", self.path("all.npz"), "-q",
+                      preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (40, hard)))
+        self.fails(3, "merge", *paths, "-o", self.path("none.npz"), says="ulimit",
+                   preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40)))
+
     def test_plan(self):
         for path, flags in ((self.scene("spray", 20000), []), (self.npy("c.npy", np.random.default_rng(5).random((20000, 3))), ["-r", "0.02"])):
             report = self.report("plan", path, *flags, "--tiles", "8")
@@ -118,14 +158,14 @@ class Tiles(CliCase):
     def test_refused(self):
         path = self.scene("block", 1000)
         search = ["search", path, "-o", self.path("part.npz")]
-        for tile in ("0/3", "4/3", "1/0", "1", "/", "1/", "/3", "a/b", "1/2/3", "-1/3", "1/1000001", "1.5/2"):
+        for tile in ("0/3", "4/3", "1/0", "1", "/", "1/", "/3", "a/b", "1/2/3", "-1/3", "1/100001", "1.5/2"):
             self.fails(2, *search, "--tile", tile, says="--tile")
         self.fails(2, *search, "--tile", "1/2", "-o", self.path("other.npz"), says="one part")
         self.fails(2, "search", path, "-o", self.path("x.vdb"), "--tile", "1/2", says="--tile")
         self.fails(2, *search, "--tile", "1/2", "--attributes-output", self.path("x.npz"), says="--tile")
         self.fails(2, *search, "--tile", "1/2", "--attributes", "cluster")
         self.fails(2, *search, "--tile", "1/2", "--device", "sim", says="--device")
-        for tiles in ("0", "x", "-1", "1000001"):
+        for tiles in ("0", "x", "-1", "100001"):
             self.fails(2, "plan", path, "--tiles", tiles, says="--tiles")
         self.fails(2, "merge", path, "-o", self.path("x.vdb"), says=".npz")
         self.fails(2, "merge", path, "-o", path, says=path)
@@ -137,7 +177,7 @@ class Tiles(CliCase):
         out = self.path("all.npz")
         self.fails(3, "merge", a[0], a[2], "-o", out, says=["tile 2 of 3", "missing"])
         self.fails(3, "merge", a[1], "-o", out, says=["tile 1 of 3", "missing"])
-        self.fails(3, "merge", *a, a[1], "-o", out, says=[a[1], "tile 2 of 3", "once"])
+        self.fails(3, "merge", *a, a[1], "-o", out, says=[a[1], "given twice", "once"])
         shutil.copy(a[0], self.path("copy.npz"))
         self.fails(3, "merge", a[0], a[1], self.path("copy.npz"), "-o", out, says=[self.path("copy.npz"), a[0]])
         for name, command in (("radius", ["search", path, "-r", "0.15"]), ("flags", ["search", path, "--order", "distance"]),

@@ -34,7 +34,7 @@ double parseNumber(const std::string& text, const std::string& flag);
 double parseCellSize(const std::string& text);
 
 /// Of a search: more are a typo, and their list would fill the memory.
-constexpr std::uint64_t kMostTiles = 1'000'000;
+constexpr std::uint64_t kMostTiles = 100'000;
 
 /// Refuses an empty value: it is an unset variable in a script, not a wish for the default.
 const CLI::Validator& notEmpty();

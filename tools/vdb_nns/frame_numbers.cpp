@@ -13,6 +13,7 @@ namespace vdb_nns::cli {
 namespace {
 
 constexpr std::size_t kMostFrames = 100'000;
+constexpr std::int64_t kLargest = 1'000'000'000;
 
 // A place for a number: where it stands in the path, and how many digits the number has at least.
 struct Place {
@@ -20,9 +21,10 @@ struct Place {
     int digits;
 };
 
+// Those of the file's name; if it has none, those of its folders.
 std::vector<Place> placesOf(const std::string& path)
 {
-    static const std::regex place(R"((#+)|%(?:0(\d{1,2}))?d|\$F(\d?))");
+    static const std::regex place(R"((#+)|%(?:0(\d{1,2}))?d|\$F(\d?)(?![A-Za-z]))");
     std::vector<Place> places;
     for (std::sregex_iterator match(path.begin(), path.end(), place), end; match != end; ++match) {
         int digits = static_cast<int>((*match)[1].length());
@@ -32,12 +34,16 @@ std::vector<Place> placesOf(const std::string& path)
         const auto begin = static_cast<std::size_t>(match->position());
         places.push_back({begin, begin + static_cast<std::size_t>(match->length()), digits});
     }
+    const std::size_t slash = path.rfind('/'), nameBegin = slash == std::string::npos ? 0 : slash + 1;
+    const auto isInFolder = [&](const Place& place) { return place.begin < nameBegin; };
+    if (!std::all_of(places.begin(), places.end(), isInFolder))
+        places.erase(places.begin(), std::find_if_not(places.begin(), places.end(), isInFolder));
     return places;
 }
 
 void addRange(const std::string& text, std::vector<int>& frames)
 {
-    static const std::regex form(R"((-?\d{1,9})(?:-(-?\d{1,9})(?:x(\d{1,9}))?)?)");
+    static const std::regex form(R"((-?\d{1,18})(?:-(-?\d{1,18})(?:x(\d{1,18}))?)?)");
     std::smatch match;
     if (!std::regex_match(text, match, form))
         throw InvalidInput(
@@ -48,6 +54,9 @@ void addRange(const std::string& text, std::vector<int>& frames)
     const std::int64_t step = match[3].matched ? std::stoll(match[3].str()) : 1;
     if (last < first)
         throw InvalidInput("--frames: '" + text + "' holds no frame; give the smaller number first");
+    if (std::min(first, -last) < -kLargest || std::max(-first, last) > kLargest)
+        throw InvalidInput("--frames: '" + text + "' is out of range; frames go from -" +
+                           std::to_string(kLargest) + " to " + std::to_string(kLargest));
     if (step == 0) throw InvalidInput("--frames: '" + text + "' has a step of 0; give 1 or more");
     for (std::int64_t frame = first; frame <= last; frame += step) {
         if (frames.size() == kMostFrames)

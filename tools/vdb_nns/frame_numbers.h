@@ -11,7 +11,7 @@ namespace vdb_nns::cli {
 std::vector<int> parseFrames(const std::string& text);
 
 /// Whether a path has a place for the number of a frame: #### (as many digits as there are # at least), %d or %04d as printf()
-/// has them, $F or $F4 as Houdini has them.
+/// has them, $F or $F4 as Houdini has them. Places in folders count where the file's name has none.
 bool isFramePattern(const std::string& path);
 
 /// The path of a frame: each place of `pattern` gets the number. A path without a place is that of every frame.

@@ -12,9 +12,12 @@
 
 #include <nlohmann/json.hpp>
 
+#include <cstring>
 #include <memory>
 #include <string>
 #include <vector>
+
+#include <sys/resource.h>
 
 namespace vdb_nns::cli {
 namespace {
@@ -42,13 +45,41 @@ std::string mergeJson(const MergeFlags& flags, const MergedParts& merged, double
     return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
+// The parts are read, then the file is written.
+class MergeProgress final : public Progress {
+public:
+    explicit MergeProgress(ProgressPrinter& printer) : mPrinter(printer) {}
+
+    void update(const char* step, double fraction) override
+    {
+        const bool isRead = std::strcmp(step, "read") == 0;
+        mPrinter.update(step, isRead ? kRead * fraction : kRead + (1 - kRead) * fraction);
+    }
+    bool cancelled() const override { return mPrinter.cancelled(); }
+
+private:
+    static constexpr double kRead = 0.3; // its share, roughly
+
+    ProgressPrinter& mPrinter;
+};
+
+// All parts are open at once.
+void allowManyFiles()
+{
+    rlimit limit = {};
+    if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
+    limit.rlim_cur = limit.rlim_max;
+    ::setrlimit(RLIMIT_NOFILE, &limit);
+}
+
 int mergeFiles(const MergeFlags& flags)
 {
     const Stopwatch watch;
     ProgressPrinter progress(progressMode(flags.common));
     progress.begin("merge", 0, 1);
     const OutputOptions output = outputOptions(flags.common);
-    const MergedParts merged = mergeNpzParts(flags.parts, flags.output, output, &progress);
+    MergeProgress steps(progress);
+    const MergedParts merged = mergeNpzParts(flags.parts, flags.output, output, &steps);
     throwIfStopped();
     progress.finish();
     const double seconds = watch.seconds();
@@ -67,6 +98,7 @@ int runMergeCommand(const MergeFlags& flags)
         throw InvalidInput(flags.output + ": has another extension than .npz, the format of lists");
     checkNotInput(flags.output, flags.parts);
     checkOutputs({flags.output}, flags.parts, flags.common);
+    allowManyFiles();
     ThreadLimit threads(threadCount(flags.common));
     return threads.run([&] { return mergeFiles(flags); });
 }

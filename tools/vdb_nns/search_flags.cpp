@@ -144,7 +144,7 @@ void addSearchFlags(CLI::App& app, SearchFlags& flags)
         ->type_name("RANGE")
         ->check(notEmpty());
     app.add_flag("--skip-existing", flags.skipExisting,
-                 "with --frames: leave out frames whose outputs are all there");
+                 "with --frames: make only the outputs that are not there");
     app.add_option("--tile", flags.tile,
                    "find the rows of one of N ranges of leaves of equal work alone, from 1: a part, for "
                    "`vdb_nns merge`")
@@ -180,19 +180,7 @@ ListForm listForm(const SearchFlags& flags, const SearchPlan& plan)
             plan.query.byDistance ? RowOrder::kDistance : RowOrder::kNumber};
 }
 
-std::string optionsText(const SearchFlags& flags)
-{
-    const QueryFlags& query = flags.query;
-    std::string text;
-    for (const std::string* value :
-         {&flags.input.grid, &flags.input.columns, &flags.input.array, &query.queriesGrid, &query.queryGroup,
-          &query.candidateGroup, &query.radiusAttribute, &query.radiusScale, &query.radiusMode,
-          &query.nearest, &query.order, &flags.lists})
-        text += std::to_string(value->size()) + ":" + *value;
-    return text + (query.includeSelf ? "+self" : "");
-}
-
-SearchPlan checkSearchFlags(const SearchFlags& flags)
+SearchPlan checkSearchFlags(const SearchFlags& flags, const OutputChecks& checks)
 {
     SearchPlan plan;
     if (flags.frames.empty() && isFramePattern(flags.input.path) &&
@@ -226,7 +214,10 @@ SearchPlan checkSearchFlags(const SearchFlags& flags)
     for (const std::string& path : outputs) {
         if (extensionOf(path) != ".vdb") checkNotInput(path, inputs);
     }
-    checkOutputs(outputs, inputs, flags.common);
+    CommonFlags common = flags.common;
+    if (!checks.existing) common.force = true;
+    if (!checks.report) common.json.clear();
+    checkOutputs(outputs, inputs, common);
     return plan;
 }
 

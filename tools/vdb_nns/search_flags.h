@@ -58,12 +58,15 @@ struct SearchPlan {
 
 void addSearchFlags(CLI::App& app, SearchFlags& flags);
 
+/// What is looked at of files that are to be written.
+struct OutputChecks {
+    bool existing = true; ///< those that exist are refused without --force
+    bool report = true;   ///< --json too
+};
+
 /// Everything that can be wrong without reading a byte. The devices of the job are not opened yet: see deviceFor().
 /// @throws InvalidInput, OutputExists, OutputError; CapacityError for less memory than the program itself takes
-SearchPlan checkSearchFlags(const SearchFlags& flags);
-
-/// All that makes the lists what they are, but for the points and the radius: for PartOrigin::options.
-std::string optionsText(const SearchFlags& flags);
+SearchPlan checkSearchFlags(const SearchFlags& flags, const OutputChecks& checks = {});
 
 /// What the rows of an .npz are like.
 ListForm listForm(const SearchFlags& flags, const SearchPlan& plan);

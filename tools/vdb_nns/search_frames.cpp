@@ -10,12 +10,14 @@
 #include "standard_streams.h"
 #include "threads.h"
 #include "vdb_nns/error.h"
+#include "vdb_nns/memory.h"
 
 #include <tbb/parallel_pipeline.h>
 
 #include <algorithm>
 #include <atomic>
 #include <cstdint>
+#include <exception>
 #include <filesystem>
 #include <memory>
 #include <mutex>
@@ -32,6 +34,7 @@ struct Frame {
     int number = 0;
     SearchFlags flags; // of this frame's files
     SearchPlan plan;
+    std::vector<std::string> outputs; // those that are there, too
     bool isSkipped = false;
 };
 
@@ -77,23 +80,48 @@ void checkPatterns(const SearchFlags& flags)
             "--skip-existing leaves alone what exists and --force replaces it; give one of them");
 }
 
+// The outputs that are not there yet. Flags about outputs that are left out go with them.
+SearchFlags missingOutputs(const SearchFlags& flags)
+{
+    SearchFlags result = flags;
+    result.outputs.erase(std::remove_if(result.outputs.begin(), result.outputs.end(), exists),
+                         result.outputs.end());
+    if (exists(result.attributesOutput)) result.attributesOutput.clear();
+    const auto isOfPoints = [](const std::string& path) { return extensionOf(path) != ".npz"; };
+    const bool hasPoints = std::any_of(result.outputs.begin(), result.outputs.end(), isOfPoints);
+    if (!hasPoints) {
+        result.givesKeep = false;
+        result.voxelSize.clear();
+    }
+    if (!hasPoints && result.attributesOutput.empty()) {
+        result.measure = MeasureFlags();
+        result.measure.attributes = "count";
+    }
+    const auto isVdb = [](const std::string& path) { return extensionOf(path) == ".vdb"; };
+    if (std::none_of(result.outputs.begin(), result.outputs.end(), isVdb)) result.voxelSize.clear();
+    return result;
+}
+
 // One frame's output must be no other frame's file.
-void checkApart(const std::vector<Frame>& frames)
+void checkApart(const std::vector<Frame>& frames, const std::string& report)
 {
     std::unordered_map<std::string, int> owners;
     const auto named = [](const std::string& path) { return fs::path(path).lexically_normal().string(); };
     for (const Frame& frame : frames) {
-        for (const std::string& path : outputsOf(frame.flags)) {
+        for (const std::string& path : frame.outputs) {
             const auto [owner, isNew] = owners.emplace(named(path), frame.number);
             if (!isNew && owner->second != frame.number)
                 throw InvalidInput(path + ": would be written by the frames " +
                                    std::to_string(owner->second) + " and " + std::to_string(frame.number));
         }
     }
+    if (!report.empty() && owners.count(named(report)) > 0)
+        throw InvalidInput(report + ": is the target of two outputs; give the report a file of its own");
     for (const Frame& frame : frames) {
         std::vector<std::string> inputs = queryFiles(frame.flags.query);
         inputs.push_back(frame.flags.input.path);
         for (const std::string& path : inputs) {
+            if (!report.empty()) checkNotInput(report, {path});
             const auto owner = owners.find(named(path));
             if (owner != owners.end() && owner->second != frame.number)
                 throw InvalidInput(path + ": is read by frame " + std::to_string(frame.number) +
@@ -111,16 +139,17 @@ std::vector<Frame> framesOf(const SearchFlags& flags)
         Frame frame;
         frame.number = number;
         frame.flags = flagsOfFrame(flags, number);
+        frame.plan = checkSearchFlags(frame.flags, {!flags.skipExisting, false});
+        frame.outputs = outputsOf(frame.flags);
         if (flags.skipExisting) {
-            const std::vector<std::string> outputs = outputsOf(frame.flags);
-            frame.isSkipped = std::all_of(outputs.begin(), outputs.end(), exists);
-            frame.flags.common.force = true; // where only some of them are there
+            frame.flags = missingOutputs(frame.flags);
+            frame.isSkipped = outputsOf(frame.flags).empty();
+            if (!frame.isSkipped) frame.plan = checkSearchFlags(frame.flags, {true, false});
         }
-        if (!frame.isSkipped) frame.plan = checkSearchFlags(frame.flags);
         isAnyThere = isAnyThere || frame.isSkipped || exists(frame.flags.input.path);
         frames.push_back(std::move(frame));
     }
-    checkApart(frames);
+    checkApart(frames, flags.common.json);
     if (!isAnyThere)
         throw InputError(flags.input.path + ": none of the frames " + flags.frames + " is there; " +
                          frames.front().flags.input.path + " would be the first");
@@ -152,22 +181,26 @@ public:
         const Stopwatch total;
         mProgress.begin("frames", 0, 1);
         // A bound on memory is for one frame at a time, and so is the memory of devices, which an engine keeps.
-        const bool mayOverlap = mThreads > 1 && mFlags.engine.hostMemory.empty() &&
-                                (mToMake.empty() || mFrames[mToMake[0]].plan.job.device.devices.empty());
-        constexpr std::size_t kSteps = 3;
-        constexpr auto kMode = tbb::filter_mode::serial_in_order;
-        using Handle = std::shared_ptr<Work>;
-        tbb::parallel_pipeline(
-            mayOverlap ? kSteps : 1,
-            tbb::make_filter<void, Handle>(kMode, [this](tbb::flow_control& flow) { return next(flow); }) &
-                tbb::make_filter<Handle, Handle>(kMode,
-                                                 [this](Handle work) { return find(std::move(work)); }) &
-                tbb::make_filter<Handle, void>(kMode, [this](Handle work) { write(std::move(work)); }));
+        mIsBounded = !mFlags.engine.hostMemory.empty();
+        const bool hasDevices = !mToMake.empty() && !mFrames[mToMake[0]].plan.job.device.devices.empty();
+        mOverlaps = mThreads > 1 && !mIsBounded && !hasDevices;
+        mFrameCount = static_cast<double>(mToMake.size());
+        runAll();
+        mOverlaps = false;
+        mIsAlone = true;
+        mToMake = std::exchange(mAlone, {});
+        mNext = 0;
+        runAll();
         throwIfStopped();
         mProgress.finish();
         mResult.seconds = total.seconds();
-        mResult.peakBytes = peakMemoryBytes();
+        mResult.peakBytes = std::max(mResult.peakBytes, peakMemoryBytes());
         return std::move(mResult);
+    }
+
+    void rethrowSummaryError() const
+    {
+        if (mSummaryError) std::rethrow_exception(mSummaryError);
     }
 
 private:
@@ -176,6 +209,7 @@ private:
         Work(Frames& frames, std::size_t k)
             : session{frames.mFrames[k].flags.input.path, {}, {}, frames.mMemoryFlags},
               result(frames.mResult.frames[k]),
+              place(k),
               progress(
                   [&frames, this](int percent) { frames.advance(percent - std::exchange(told, percent)); }),
               run(frames.mFrames[k].flags, frames.mFrames[k].plan, frames.mThreads, session)
@@ -184,11 +218,26 @@ private:
 
         Session session;
         FrameReport& result;
+        std::size_t place; // in mFrames
+        bool goesAlone = false;
         int told = 0; // percent of this frame
         ProgressPrinter progress;
         std::unique_ptr<SearchEngine> engine;
         SearchRun run;
     };
+
+    void runAll()
+    {
+        constexpr std::size_t kSteps = 3;
+        constexpr auto kMode = tbb::filter_mode::serial_in_order;
+        using Handle = std::shared_ptr<Work>;
+        tbb::parallel_pipeline(
+            mOverlaps ? kSteps : 1,
+            tbb::make_filter<void, Handle>(kMode, [this](tbb::flow_control& flow) { return next(flow); }) &
+                tbb::make_filter<Handle, Handle>(kMode,
+                                                 [this](Handle work) { return find(std::move(work)); }) &
+                tbb::make_filter<Handle, void>(kMode, [this](Handle work) { write(std::move(work)); }));
+    }
 
     // A step of one frame, unless one before it failed. Nothing leaves it: where an exception ends the steps of other frames, they
     // would not know.
@@ -204,6 +253,9 @@ private:
             } catch (const Cancelled&) { // and so will be all others, by the same signal
                 return;
             }
+            // Alone it may have the room that it did not have beside others.
+            work.goesAlone = mOverlaps && work.result.failure->code == kNoRoom;
+            if (work.goesAlone) return;
             say("error: frame " + std::to_string(work.result.number) + ": " + work.result.failure->message);
         }
     }
@@ -214,6 +266,11 @@ private:
             flow.stop();
             return nullptr;
         }
+        if (mIsBounded || mIsAlone) {
+            mEngines.clear();
+            returnFreedMemory();
+        }
+        if (mIsBounded) resetPeakMemory(); // the bound is looked at for each frame
         const auto work = std::make_shared<Work>(*this, mToMake[mNext++]);
         attempt(*work, [&] { work->run.read(work->progress); });
         return work;
@@ -233,13 +290,30 @@ private:
         attempt(*work, [&] {
             work->run.write(work->progress);
             work->result.report = work->run.report();
-            if (!mFlags.common.quiet && !jsonToStdout(mFlags.common)) writeSummary(frameText(work->result));
         });
-        advance(100 - work->told);
+        if (work->result.report) tell(work->result);
+        if (work->goesAlone) {
+            work->result.failure.reset();
+            mAlone.push_back(work->place);
+        }
+        advance((work->goesAlone ? 0 : 100) - work->told);
         std::unique_ptr<SearchEngine> engine = std::move(work->engine);
-        work.reset(); // its lists, whose memory the engine can use again then
+        mResult.peakBytes = std::max(mResult.peakBytes, peakMemoryBytes());
+        work.reset();                      // its lists, whose memory the engine can use again then
+        if (!engine || mIsBounded) return; // what an engine keeps would be taken from the next frame's bound
         const std::lock_guard<std::mutex> lock(mMutex);
-        if (engine) mEngines.push_back(std::move(engine));
+        mEngines.push_back(std::move(engine));
+    }
+
+    // The frame is made, whatever becomes of its line.
+    void tell(const FrameReport& frame)
+    {
+        if (mFlags.common.quiet || jsonToStdout(mFlags.common) || mSummaryError) return;
+        try {
+            writeSummary(frameText(frame));
+        } catch (const OutputError&) {
+            mSummaryError = std::current_exception();
+        }
     }
 
     std::unique_ptr<SearchEngine> takeEngine()
@@ -254,7 +328,7 @@ private:
     void advance(int percent)
     {
         const std::int64_t sum = mPercents += percent;
-        mProgress.update("frames", static_cast<double>(sum) / (100 * static_cast<double>(mToMake.size())));
+        mProgress.update("frames", static_cast<double>(sum) / (100 * mFrameCount));
     }
 
     const SearchFlags& mFlags;
@@ -263,10 +337,14 @@ private:
     const int mThreads;
     ProgressPrinter mProgress;
     std::vector<std::size_t> mToMake;       // places in mFrames
+    double mFrameCount = 0;                 // that are to be made
     std::size_t mNext = 0;                  // in mToMake
     std::atomic<std::int64_t> mPercents{0}; // of all frames, summed
+    bool mIsBounded = false, mOverlaps = false, mIsAlone = false;
+    std::vector<std::size_t> mAlone; // frames that had no room beside others; places in mFrames
     std::mutex mMutex;
     std::vector<std::unique_ptr<SearchEngine>> mEngines; // that nobody uses
+    std::exception_ptr mSummaryError;                    // of the first line that could not be written
     FramesReport mResult;
 };
 
@@ -284,6 +362,11 @@ int exitCode(const FramesReport& report)
 int searchFrames(const SearchFlags& flags, const Session& session)
 {
     std::vector<Frame> frames = framesOf(flags);
+    OutputOptions reportOutput = outputOptions(flags.common);
+    reportOutput.overwrite |= flags.skipExisting; // the run before left one
+    if (jsonToStdout(flags.common)) requireStdout();
+    if (!flags.common.json.empty() && !jsonToStdout(flags.common))
+        checkOutput(flags.common.json, reportOutput.overwrite);
     ThreadLimit threads(threadCount(flags.common));
     std::optional<DeviceOptions> device; // the same for all
     for (Frame& frame : frames) {
@@ -294,7 +377,8 @@ int searchFrames(const SearchFlags& flags, const Session& session)
     Frames work(flags, session, std::move(frames), threads.count());
     const FramesReport report = threads.run([&] { return work.run(); });
     const CommonFlags& common = flags.common;
-    if (!common.json.empty()) deliverJson(common.json, framesReportJson(report), outputOptions(common));
+    if (!common.json.empty()) deliverJson(common.json, framesReportJson(report), reportOutput);
+    work.rethrowSummaryError();
     if (!common.quiet && !jsonToStdout(common)) writeSummary(framesReportText(report));
     return exitCode(report);
 }

@@ -121,6 +121,26 @@ void SearchRun::chooseTile(ProgressPrinter& progress)
     mReport.tile = TileReport{mPlan.tile->tile, mPlan.tile->tiles, mTileRows.size()};
 }
 
+// All that makes the lists what they are, but for the bytes of the files.
+std::string SearchRun::optionsText() const
+{
+    const QueryPlan& query = mPlan.query;
+    const QueryFlags& flags = mFlags.query;
+    const PointFile& candidates = mInput.candidates;
+    const ListForm form = listForm(mFlags, mPlan);
+    std::string text = shortest(mInput.largestRadius(mReport.radius)) + " " + shortest(query.radiusScale);
+    for (const std::uint64_t number :
+         {static_cast<std::uint64_t>(query.mode), static_cast<std::uint64_t>(query.hasRadii),
+          static_cast<std::uint64_t>(query.nearest), static_cast<std::uint64_t>(query.includeSelf),
+          static_cast<std::uint64_t>(form.values), static_cast<std::uint64_t>(form.order)})
+        text += " " + std::to_string(number);
+    std::vector<std::string> names = {candidates.grid(), candidates.taken(), flags.queryGroup,
+                                      flags.candidateGroup, flags.radiusAttribute};
+    if (mInput.queries) names.insert(names.end(), {mInput.queries->grid(), mInput.queries->taken()});
+    for (const std::string& name : names) text += " " + std::to_string(name.size()) + ":" + name;
+    return text;
+}
+
 void SearchRun::writePart(const std::string& path, ProgressPrinter& progress)
 {
     PartOrigin origin;
@@ -131,7 +151,7 @@ void SearchRun::writePart(const std::string& path, ProgressPrinter& progress)
     std::vector<std::string> files = queryFiles(mFlags.query);
     files.push_back(mFlags.input.path);
     for (const std::string& file : files) origin.input = mix64(origin.input) ^ hashFile(file, &progress);
-    const std::string options = optionsText(mFlags) + shortest(mInput.largestRadius(mReport.radius));
+    const std::string options = optionsText();
     for (const char c : options) origin.options = mix64(origin.options ^ static_cast<unsigned char>(c));
     writeNpzPart(path, mLists, mTileRows, origin, listForm(mFlags, mPlan), outputOptions(mFlags.common),
                  &progress, numbers);

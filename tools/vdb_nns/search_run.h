@@ -10,6 +10,7 @@
 #include "vdb_nns/search.h"
 
 #include <cstdint>
+#include <string>
 #include <vector>
 
 namespace vdb_nns::cli {
@@ -37,6 +38,7 @@ public:
 
 private:
     void chooseTile(ProgressPrinter& progress);
+    std::string optionsText() const;
     void writePart(const std::string& path, ProgressPrinter& progress);
     void runJobs(ProgressPrinter& progress);
     void fillReport();

@@ -10,6 +10,7 @@
 #include <array>
 #include <cmath>
 #include <functional>
+#include <limits>
 #include <memory>
 #include <unordered_set>
 #include <utility>
@@ -61,7 +62,7 @@ public:
     // All leaves, piece by piece.
     void lookAtAll()
     {
-        constexpr std::uint64_t kPieceBytes = std::uint64_t(64) << 20;
+        constexpr std::uint64_t kPieceBytes = std::uint64_t(8) << 20;
         GridPoints piece;
         for (std::size_t begin = 0; begin < mLayout.leaves.size();) {
             mCancel.check();
@@ -92,7 +93,7 @@ public:
 
     std::uint64_t total() const { return mTotal; }
 
-    Tile cut(const TileOfFile& which, double ballsEach) const
+    Tile cut(const TileOfFile& which, const TileGeometry& geometry) const
     {
         std::vector<TileLeaf> leaves;
         for (const SeenLeaf& seen : mSeen) {
@@ -100,7 +101,7 @@ public:
             leaves.push_back({{origin[0] >> 3, origin[1] >> 3, origin[2] >> 3}, seen.count});
         }
         std::vector<Tile> tiles(which.tiles);
-        cutLeaves(leaves, ballsEach, tiles);
+        cutLeaves(leaves, geometry, tiles);
         return tiles[which.tile - 1];
     }
 
@@ -205,7 +206,9 @@ private:
         TileBox low{}, high{};
         double boxes = 1;
         for (std::size_t k = 0; k < 3; ++k) {
-            const double from = std::floor(leaf.low[k] / edges[k]), to = std::floor(leaf.high[k] / edges[k]);
+            // Half a voxel on, the points of a leaf are in one box of 8 voxels.
+            const double from = std::floor((leaf.low[k] + 0.5) / edges[k]),
+                         to = std::floor((leaf.high[k] + 0.5) / edges[k]);
             boxes *= to - from + 1;
             if (!(boxes <= kMostBoxes) || !(std::fabs(from) < kFarthest)) return false;
             low[k] = static_cast<std::int64_t>(from);
@@ -237,8 +240,12 @@ TileNumbers readTile(const VdbPointReader& reader, const VdbPointLayout& layout,
     constexpr std::uint64_t kPointBytes = 3 * sizeof(float) + sizeof(std::uint16_t) + sizeof(std::uint32_t);
     TileReader tiles(reader, layout, cancel);
     tiles.lookAtAll();
+    if (tiles.total() > std::numeric_limits<std::uint32_t>::max()) {
+        throw InputError(path + ": " + std::to_string(tiles.total()) +
+                         " points are more than their numbers can count (4294967295): split the grid");
+    }
     const TileGeometry geometry = tileGeometry(points.linear, which.radius);
-    const Tile tile = tiles.cut(which, geometry.ballsEach);
+    const Tile tile = tiles.cut(which, geometry);
     const std::vector<VdbLeafRange> ranges = tiles.near(tile, geometry);
     std::uint64_t count = 0;
     for (const VdbLeafRange& range : ranges) count += tiles.pointsOf(range);
