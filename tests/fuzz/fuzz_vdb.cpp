@@ -172,8 +172,12 @@ void readFile(const ByteSource& file, std::uint64_t allowedBytes)
 {
     try {
         PointFileInfo info;
-        const VdbFile vdb(file, "", allowedBytes, kNoCancel, info);
+        const VdbFile vdb(file, "", {}, allowedBytes, kNoCancel, info);
         readNamedValues(file, vdb, info, allowedBytes);
+        const VdbFile tile(file, "", TileOfFile{2, 3, 1.0}, allowedBytes, kNoCancel, info);
+        require(tile.tileNumbers()->total == vdb.view().size() &&
+                    tile.tileNumbers()->numbers.size() == tile.view().size(),
+                "a number for each point of a tile");
     } catch (const Error&) {
     }
     try {

@@ -109,7 +109,7 @@ void create(const std::string& path, const std::string& bytes)
 std::uint64_t countOf(const ByteSource& file)
 {
     PointFileInfo info;
-    return VdbFile(file, "points", std::uint64_t(1) << 30, kNoCancel, info).view().size();
+    return VdbFile(file, "points", {}, std::uint64_t(1) << 30, kNoCancel, info).view().size();
 }
 
 // One bit, one byte, or a few bytes are wrong; half of the places are among the first 3000 bytes, where the directory and

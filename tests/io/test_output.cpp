@@ -663,7 +663,8 @@ TEST_F(OutputTest, npzPast4GiBUsesZip64)
         NpzLayout layout = layoutNpz({c.rows, c.rows}, c.pairs, c.values);
         EXPECT_EQ(layout.indexBytes, c.rows > 0x7FFFFFFF ? 8u : 4u);
         OutputFile file(path("sparse.npz"), kOverwrite);
-        for (NpzMember& member : layout.members) {
+        for (std::size_t i = 0; i < layout.count; ++i) {
+            NpzMember& member = layout.members[i];
             member.crc = 0x12345678;
             const std::string header = localHeader(member);
             EXPECT_EQ(member.localOffset + header.size(), member.valueOffset);

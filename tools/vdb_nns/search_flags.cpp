@@ -140,7 +140,7 @@ void addSearchFlags(CLI::App& app, SearchFlags& flags)
     app.add_option(
            "--frames", flags.frames,
            "search one file after the other: numbers for the places of IN and of all outputs that are "
-           "written #### or %04d or $F4, e.g. 1-240, or 1-240x2 for every second one")
+           "written as a row of #, as %04d or as $F4, e.g. 1-240, or 1-240x2 for every second one")
         ->type_name("RANGE")
         ->check(notEmpty());
     app.add_flag("--skip-existing", flags.skipExisting,

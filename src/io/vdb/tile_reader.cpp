@@ -60,7 +60,7 @@ public:
     }
 
     // All leaves, piece by piece.
-    void lookAtAll()
+    void lookAtAll(const std::string& path, std::uint64_t allowedBytes)
     {
         constexpr std::uint64_t kPieceBytes = std::uint64_t(8) << 20;
         GridPoints piece;
@@ -73,6 +73,7 @@ public:
                 if (bytes > kPieceBytes) break;
                 ++end;
             }
+            checkPointsFit(path, mReader.pointBytes({begin, end}), allowedBytes);
             mReader.readPoints({begin, end}, mCancel, piece);
             const std::size_t first = mSeen.size();
             mSeen.resize(first + piece.leaves.size());
@@ -239,7 +240,7 @@ TileNumbers readTile(const VdbPointReader& reader, const VdbPointLayout& layout,
 {
     constexpr std::uint64_t kPointBytes = 3 * sizeof(float) + sizeof(std::uint16_t) + sizeof(std::uint32_t);
     TileReader tiles(reader, layout, cancel);
-    tiles.lookAtAll();
+    tiles.lookAtAll(path, allowedBytes);
     if (tiles.total() > std::numeric_limits<std::uint32_t>::max()) {
         throw InputError(path + ": " + std::to_string(tiles.total()) +
                          " points are more than their numbers can count (4294967295): split the grid");
