@@ -157,6 +157,12 @@ class Frames(CliCase):
             self.assertEqual([self.bytes(self.path(f"in.000{n}.vdb")) for n in (1, 2)], inputs)
             self.assertEqual(self.names("out."), ["out.0001.npz", "out.0002.npz"])
         self.fails(2, *command, "-r", "-5", says="--radius")
+        # Flags about an output that is there do not trouble the others.
+        command = ["search", pattern, "--frames", "1-2", "-o", self.path("p.#.ply"), "-o", self.path("v.#.vdb"), "--keep", "none",
+                   "--attributes", "density"]
+        self.succeeds(*command, "-q")
+        os.remove(self.path("v.2.vdb"))
+        self.assertEqual(self.report(*command, "--skip-existing")["made"], 1)
         # An attribute that exists is not replaced either.
         self.succeeds("search", self.path("in.0001.vdb"), "-o", self.path("has.0001.vdb"), "-q")
         self.fails(2, "search", self.path("has.0001.vdb"), "-o", self.path("x.vdb"), says="nns_count")
@@ -207,6 +213,7 @@ class Frames(CliCase):
         self.fails(2, "search", pattern, "--frames", "1-2", "--skip-existing", "-f", "-o", out, says="--force")
         self.fails(2, "search", pattern, "--frames", "1-2", "-r", "-1", says="--radius")
         self.fails(3, "search", pattern, says=[pattern, "--frames"])
+        self.fails(3, "search", self.path("x" * 300 + "#.vdb"), says="--frames")
         self.fails(3, "search", pattern, "--frames", "7-9", "-o", out, says=["none of the frames 7-9", "in.0007.vdb"])
         # What one frame would write, another one reads.
         self.fails(2, "search", self.path("in.00##.vdb"), "--frames", "1,2,21", "-o", self.path("in.00#1.vdb"), "-f",

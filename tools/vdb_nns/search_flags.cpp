@@ -183,8 +183,9 @@ ListForm listForm(const SearchFlags& flags, const SearchPlan& plan)
 SearchPlan checkSearchFlags(const SearchFlags& flags, const OutputChecks& checks)
 {
     SearchPlan plan;
+    std::error_code error; // such a file is not there either, or its reader says what is wrong
     if (flags.frames.empty() && isFramePattern(flags.input.path) &&
-        !std::filesystem::exists(flags.input.path))
+        !std::filesystem::exists(flags.input.path, error))
         throw InputError(flags.input.path + ": is not there; for the files of a sequence give --frames, e.g. "
                                             "--frames 1-240");
     if (!flags.input.radius.empty()) parsePositive(flags.input.radius, "--radius");

@@ -87,12 +87,9 @@ SearchFlags missingOutputs(const SearchFlags& flags)
     result.outputs.erase(std::remove_if(result.outputs.begin(), result.outputs.end(), exists),
                          result.outputs.end());
     if (exists(result.attributesOutput)) result.attributesOutput.clear();
+    result.givesKeep = false; // whether it suits was asked of all outputs
     const auto isOfPoints = [](const std::string& path) { return extensionOf(path) != ".npz"; };
     const bool hasPoints = std::any_of(result.outputs.begin(), result.outputs.end(), isOfPoints);
-    if (!hasPoints) {
-        result.givesKeep = false;
-        result.voxelSize.clear();
-    }
     if (!hasPoints && result.attributesOutput.empty()) {
         result.measure = MeasureFlags();
         result.measure.attributes = "count";
